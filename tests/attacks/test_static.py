@@ -246,7 +246,7 @@ def test_what_goes_wrong_with_one_package_costs_no_other_its_verdict(
             raise RuntimeError("cannot be read")
         return real(self)
 
-    monkeypatch.setattr(Source, "whole", broken)
+    monkeypatch.setattr(Source, "boundary_hash", broken)
     from xpl_cli.packages.targets import find_target
 
     targets = [find_target(adapter.parent / name) for name in ("Bar", "Foo")]
@@ -396,4 +396,4 @@ def test_a_pipe_in_the_place_of_the_manifest_is_reported(adapter: Path) -> None:
     (adapter / "policy.yml").unlink()
     os.mkfifo(adapter / "policy.yml")
     [result] = static(adapter, "required-files").results
-    assert [finding.message for finding in result.findings if "is no file of the package" in finding.message]
+    assert [finding.message for finding in result.findings if "is not a regular file" in finding.message]

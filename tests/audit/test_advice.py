@@ -15,9 +15,9 @@ from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, RuleResult
 from xpl_cli.audit.rules.options import AuditOptions
-from xpl_cli.audit.static import advice
+from xpl_cli.audit.static import linters
 from xpl_cli.audit.static.source import Source
-from xpl_cli.packages.targets import asked
+from xpl_cli.packages.targets import requested_targets
 
 CODES = ("XPL601", "XPL602")
 
@@ -90,7 +90,7 @@ def test_files_that_do_not_parse_are_left_to_another_rule(adapter: Path) -> None
     """`parses` reports them; the others are still looked at."""
     (adapter / "broken.py").write_text("def (:\n")
     append(adapter / "model.py", "\n\nprint(missing)\n")
-    assert [one.path for one in advice.ruff(Source(adapter))] == ["model.py"]
+    assert [one.path for one in linters.ruff(Source(adapter))] == ["model.py"]
 
 
 @pytest.mark.parametrize("ending", ["\n", "\r\n"])
@@ -100,7 +100,7 @@ def test_edits_that_ruff_calls_safe_are_offered(adapter: Path, ending: str) -> N
     text = file.read_text().replace("import annotations\n", "import annotations\n\nimport json\n", 1)
     file.write_bytes(text.replace("\n", ending).encode())
     options = AuditOptions(gates=(Gate.STATIC,), names=("XPL601",))
-    plan_all(asked([adapter]), options, unsafe=False).apply()
+    plan_all(requested_targets([adapter]), options, unsafe=False).apply()
     assert b"import json" not in file.read_bytes()
     assert results(adapter, "XPL601")["XPL601"].outcome is Outcome.PASS
 

@@ -22,7 +22,7 @@ from xpl_cli.audit.rules.model import Finding, Outcome, RuleResult, outcome_of
 from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.registry import RegistryError
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.packages.targets import Target
+from xpl_cli.packages.targets import AuditTarget
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -216,9 +216,9 @@ def test_a_fact_whose_provider_crashes_is_computed_once() -> None:
 # -- many packages -----------------------------------------------------------------------------------------------------
 
 
-def targets(workspace: Path) -> list[Target]:
+def targets(workspace: Path) -> list[AuditTarget]:
     """Return the packages of the workspace."""
-    return [Target(workspace / "policy" / name, "policy", f"policy/{name}") for name in NAMES]
+    return [AuditTarget(workspace / "policy" / name, "policy", f"policy/{name}") for name in NAMES]
 
 
 @pytest.mark.slow
@@ -298,7 +298,7 @@ def git(folder: Path, *arguments: str) -> None:
 
 def changed(repository: Path, ref: str = "main") -> list[str]:
     """Return the packages that an audit of what changed looks at."""
-    packages = [Target(repository / "policy" / name, "policy", f"policy/{name}") for name in ("Bar", "Foo")]
+    packages = [AuditTarget(repository / "policy" / name, "policy", f"policy/{name}") for name in ("Bar", "Foo")]
     return [target.path.name for target in select_changed(ref, packages)]
 
 

@@ -19,7 +19,7 @@ from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Edit, Finding, Fix, GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.errors import ExitCode, UserError
-from xpl_cli.packages.targets import Target
+from xpl_cli.packages.targets import AuditTarget
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -280,7 +280,7 @@ def test_several_packages_are_fixed_at_once(tmp_path: Path, monkeypatch: pytest.
     edit = "Edit('README.md', 1, 1, 1, 1, 'fixed\\n')"
     body = f"source.text('README.md')\nyield Finding('x', fix=Fix('safe_edit', '', ({edit},)))"
     made_room(tmp_path / "room", monkeypatch).rule("readme", body, code="XPL101")
-    asked = [Target(made_adapter(tmp_path / name), "policy", name) for name in ("A", "B")]
+    asked = [AuditTarget(made_adapter(tmp_path / name), "policy", name) for name in ("A", "B")]
     plan = fixes.plan_all(asked, STATIC)
     assert (plan.fixes, [change.display_path for change in plan.changes]) == (2, ["A/README.md", "B/README.md"])
     plan.apply()

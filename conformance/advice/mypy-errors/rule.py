@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.static.advice import Remark
+from xpl_cli.audit.static.linters import ToolMessage
 from xpl_cli.audit.static.source import Source
 
 
 @rule(code="XPL602", requirement="XPL-ADV-2")
-def mypy_errors(source: Source, mypy: tuple[Remark, ...]) -> Iterator[Finding]:
+def mypy_errors(source: Source, mypy: tuple[ToolMessage, ...]) -> Iterator[Finding]:
     """The adapter's own files have type errors, reported by mypy.
 
     ## What it does

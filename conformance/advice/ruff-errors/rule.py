@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.static.advice import Remark
+from xpl_cli.audit.static.linters import ToolMessage
 from xpl_cli.audit.static.source import Source
 
 
 @rule(code="XPL601", requirement="XPL-ADV-1")
-def ruff_errors(source: Source, ruff: tuple[Remark, ...]) -> Iterator[Finding]:
+def ruff_errors(source: Source, ruff: tuple[ToolMessage, ...]) -> Iterator[Finding]:
     """The adapter's own files have likely bugs, reported by ruff.
 
     ## What it does

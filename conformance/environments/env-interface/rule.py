@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl.environment import Environment
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.adapter import Adapter, symbols
 from xpl_cli.audit.static.function import Function
+from xpl_cli.audit.static.model_class import ModelClass, symbols
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import dotted, parameters
 from xpl_cli.standard import spec
@@ -112,7 +112,7 @@ def _imports(tree: ast.Module, name: str) -> bool:
     )
 
 
-def _returned(source: Source, make: Function) -> Adapter | None:
+def _returned(source: Source, make: Function) -> ModelClass | None:
     """Return the class that a function returns an object of: by its `return`, or by its annotation."""
     known = symbols(source, make.file).classes
     values = [node.value for node in make.nodes if isinstance(node, ast.Return) and node.value is not None]
@@ -126,6 +126,6 @@ def _returned(source: Source, make: Function) -> Adapter | None:
         origin = made.get(value.id, value) if isinstance(value, ast.Name) else value
         found.add(dotted(origin.func) if isinstance(origin, ast.Call) else "")
     if len(found) == 1 and (name := found.pop()) in known:
-        return Adapter.described(source, *known[name])
+        return ModelClass.from_node(source, *known[name])
     annotated = dotted(make.node.returns) if make.node.returns is not None else ""
-    return Adapter.described(source, *known[annotated]) if annotated in known else None
+    return ModelClass.from_node(source, *known[annotated]) if annotated in known else None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, rule
-from xpl_cli.audit.static.manifests import key_line, renamed, schema_findings
+from xpl_cli.audit.static.manifests import key_line, rename_fix, schema_findings
 from xpl_cli.audit.static.source import Source
 
 _NAME = "env.yml"
@@ -42,5 +42,5 @@ def env_manifest(source: Source) -> Iterator[Finding]:
             column=1,
             expected=source.path.name,
             got=given,
-            fix=renamed(source, _NAME, "name"),
+            fix=rename_fix(source, _NAME, "name"),
         )

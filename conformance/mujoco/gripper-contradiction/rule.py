@@ -11,7 +11,7 @@ from xpl_cli.audit import Finding, Fix, NotRun, rule
 from xpl_cli.audit.physics.rollout import PhysicsRollout
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.physics.success_rates import claimed_rates, measure, measure_swapped
-from xpl_cli.audit.physics.swaps import GRIPPER_SWAPS, Swap, image_swaps
+from xpl_cli.audit.physics.swaps import GRIPPER_SWAPS, EnvSwap, image_swaps
 from xpl_cli.audit.served.probe import blame
 
 _LEAST_INFERENCES = 4
@@ -87,7 +87,7 @@ def _contradictions(simulation: Simulation, rollout: PhysicsRollout) -> Iterator
         )
 
 
-def _agreeing_swaps(simulation: Simulation, rollout: PhysicsRollout, key: str) -> Iterator[Swap]:
+def _agreeing_swaps(simulation: Simulation, rollout: PhysicsRollout, key: str) -> Iterator[EnvSwap]:
     """Yield the swaps with which commands agree with the gripper, those of images first."""
     for swap in (*image_swaps(simulation.cameras), *GRIPPER_SWAPS):
         try:

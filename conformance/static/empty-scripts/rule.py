@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts import hollow
-from xpl_cli.audit.static.scripts.flow import place
-from xpl_cli.audit.static.scripts.hollow import RUN_BY_XPL
+from xpl_cli.audit.static.scripts import empty_scripts as scripts
+from xpl_cli.audit.static.scripts.empty_scripts import RUN_BY_XPL
+from xpl_cli.audit.static.scripts.flow import word_location
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -37,7 +37,7 @@ def empty_scripts(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    found = hollow.hollow(source)
+    found = scripts.empty_scripts(source)
     marker = f"{spec.data('package')['placeholder']}:"
     if any(entry.by_xpl for entry in found) and any(marker in source.text(name) for name in source.text_files):
         found = [entry for entry in found if not entry.by_xpl]
@@ -46,10 +46,10 @@ def empty_scripts(source: Source) -> Iterator[Finding]:
                 "placeholders of the template remain; the rule placeholders lists these scripts with them"
             )
     for entry in found:
-        at = {"path": entry.script} if entry.word is None else place(entry.script, entry.word)
+        at = {"path": entry.script} if entry.word is None else word_location(entry.script, entry.word)
         if not entry.runs:
             message, got = f"{entry.script} only prints", "no command that does the work"
-        elif entry.is_there:
+        elif entry.exists:
             message, got = (
                 f"{entry.script} runs {entry.runs}, which does nothing",
                 f"{entry.runs} that only prints or raises",

@@ -9,8 +9,8 @@ from typing import Final
 
 from xpl._spec import Deploy, File
 from xpl_cli.audit import Finding, Fix, Location, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import place, talks
-from xpl_cli.audit.static.shell import Word
+from xpl_cli.audit.static.scripts.flow import only_prints, word_location
+from xpl_cli.audit.static.shell import ShellWord
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -84,8 +84,8 @@ def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[st
     is_stub = all(command.name in _SAYS for command in commands)
     if is_stub or mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
         return
-    spoken = _expanded(word.raw for command in commands if talks(command) for word in command.words)
-    taken: dict[str, list[tuple[str, Word]]] = {}
+    spoken = _expanded(word.raw for command in commands if only_prints(command) for word in command.words)
+    taken: dict[str, list[tuple[str, ShellWord]]] = {}
     for command in commands:
         for variable, word in () if command.functions else command.assignments:
             for item in word.expansions:
@@ -99,7 +99,7 @@ def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[st
             yield _finding(name, argument, None, f"no ${number}")
         elif into and all(mentions[variable] == spoken[variable] for variable, _ in into):
             variable, word = into[0]
-            yield _finding(name, argument, place(name, word), f"{variable}={word.raw}, and no use of it")
+            yield _finding(name, argument, word_location(name, word), f"{variable}={word.raw}, and no use of it")
 
 
 def _expanded(texts: Iterable[str]) -> Counter[str]:

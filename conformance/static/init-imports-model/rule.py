@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import own
+from xpl_cli.audit.static.syntax import descendants
 
 
 @rule(code="XPL107", requirement="XPL-CON-5")
@@ -34,7 +34,7 @@ def init_imports_model(source: Source) -> Iterator[Finding]:
     """
     name = sdk.File.INIT_PY
     model = sdk.File.MODEL_PY
-    for node in own(source.tree(name)):
+    for node in descendants(source.tree(name)):
         if not isinstance(node, (ast.Import, ast.ImportFrom)):
             continue
         for file in _imported(source, node):

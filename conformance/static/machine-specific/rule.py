@@ -9,8 +9,8 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, Location, rule
-from xpl_cli.audit.static.scripts.flow import is_tried, place, scripts
-from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.scripts.flow import is_candidate, scripts, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellScript, ShellWord
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import assigned, called, constant, last, targets
 
@@ -62,27 +62,27 @@ def machine_specific(source: Source) -> Iterator[Finding]:
             yield from _roots(source, name)
 
 
-def _fixed(name: str, command: Command) -> Iterator[Finding]:
+def _fixed(name: str, command: ShellCommand) -> Iterator[Finding]:
     """Yield variables that give a GPU or a port as a number."""
     for word in command.words:
         found = _FIXED.fullmatch(word.raw)
         if found:
             yield _finding(
-                place(name, word),
+                word_location(name, word),
                 f"{found.group(1)} is {found.group(2)}, whatever the launcher chose: two runs share it",
                 f"{found.group(1)} from the script's argument or the environment",
                 word.raw,
             )
 
 
-def _folders(source: Source, name: str, script: Script) -> Iterator[Finding]:
+def _folders(source: Source, name: str, script: ShellScript) -> Iterator[Finding]:
     for word in _words(script):
         found = _PLACES.search(word.raw) if "/" in word.raw else None
-        if found and not _PERSON.match(found.group()) and not is_tried(source.text(name), word.line):
-            yield _folder(place(name, word), found.group())
+        if found and not _PERSON.match(found.group()) and not is_candidate(source.text(name), word.line):
+            yield _folder(word_location(name, word), found.group())
 
 
-def _words(script: Script) -> Iterator[Word]:
+def _words(script: ShellScript) -> Iterator[ShellWord]:
     for command in script:
         if command.name not in {"echo", "printf"}:
             yield from command.words

@@ -16,7 +16,7 @@ from xpl.convert import ConversionError, Interface, compile_interface
 from xpl.convert.gaps import fill_gaps
 from xpl.manifest import CameraNeeds
 from xpl_cli.audit import Finding, Fix, NotApplicable, Proof, rule
-from xpl_cli.audit.static.files import resolve_inside
+from xpl_cli.audit.static.file_reading import resolve_inside
 from xpl_cli.audit.static.manifests import location_in
 from xpl_cli.audit.static.source import Source
 

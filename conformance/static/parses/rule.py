@@ -109,7 +109,7 @@ def _shell(source: Source, name: str) -> Iterator[Finding]:
     if text.startswith("#!") and _BASH.match(text) is None:
         return
     try:
-        refused = shell.refused(text)
+        refused = shell.bash_error(text)
     except (FileNotFoundError, TooMuchError) as error:
         raise NotRun(f"{name} cannot be checked: {error}") from None
     if refused is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.scripts.hollow import hollow as hollow_scripts
+from xpl_cli.audit.static.scripts.empty_scripts import empty_scripts as hollow_scripts
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 

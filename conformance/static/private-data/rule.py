@@ -10,7 +10,7 @@ from urllib.parse import urlsplit
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static import vendored
-from xpl_cli.audit.static.scripts.flow import is_tried
+from xpl_cli.audit.static.scripts.flow import is_candidate
 from xpl_cli.audit.static.source import Source
 
 _ADDRESS = re.compile(r"(?<![\w.])(?:\d{1,3}\.){3}\d{1,3}(?![\w.])")
@@ -68,7 +68,7 @@ def private_data(source: Source) -> Iterator[Finding]:
             continue
         for number, line in _lines(source.text(name)):
             for message, start, got, advice in _suspects(line[:2000]):
-                if name.endswith(".sh") and message.startswith("a path") and is_tried(source.text(name), number):
+                if name.endswith(".sh") and message.startswith("a path") and is_candidate(source.text(name), number):
                     continue
                 yield Finding(
                     message,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.shell import Command, Word
+from xpl_cli.audit.static.shell import ShellCommand, ShellWord
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -46,7 +46,7 @@ def script_arguments(source: Source) -> Iterator[Finding]:
                 yield from _given(script, called, wanted, command)
 
 
-def _taken(script: str, order: list[str], command: Command) -> Iterator[Finding]:
+def _taken(script: str, order: list[str], command: ShellCommand) -> Iterator[Finding]:
     """Yield variables that take another argument than the one they are named after."""
     if command.functions:
         return  # a function's own arguments
@@ -59,7 +59,7 @@ def _taken(script: str, order: list[str], command: Command) -> Iterator[Finding]
         yield _finding(script, word, f"{script} uses {really} as {name}", f"{variable}=${{{order.index(name) + 1}}}")
 
 
-def _given(script: str, called: str, wanted: list[str], command: Command) -> Iterator[Finding]:
+def _given(script: str, called: str, wanted: list[str], command: ShellCommand) -> Iterator[Finding]:
     """Yield arguments of a call of an own script that stand in the place of another one."""
     words = list(command.arguments)
     place = next(
@@ -73,7 +73,7 @@ def _given(script: str, called: str, wanted: list[str], command: Command) -> Ite
             yield _finding(script, word, f"{called} gets {given} in the position of {expected}", f'"${{{expected}}}"')
 
 
-def _finding(script: str, word: Word, consequence: str, expected: str) -> Finding:
+def _finding(script: str, word: ShellWord, consequence: str, expected: str) -> Finding:
     return Finding(
         f"{consequence}: the run differs from its label",
         path=script,

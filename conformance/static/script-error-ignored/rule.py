@@ -11,15 +11,15 @@ from xpl_cli.audit.static.scripts.flow import (
     INSTALLERS,
     PYTHONS,
     STEPS,
-    place,
+    executed_words,
     program,
-    runs,
+    quote_command,
     scripts,
-    shown,
     sourced_by,
     sources,
+    word_location,
 )
-from xpl_cli.audit.static.shell import Command, Script
+from xpl_cli.audit.static.shell import ShellCommand, ShellScript
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -63,7 +63,7 @@ def script_error_ignored(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter has no scripts")
 
 
-def _passed(source: Source, name: str, script: Script) -> Iterator[Finding]:
+def _passed(source: Source, name: str, script: ShellScript) -> Iterator[Finding]:
     """Yield the first step of a script without `set -e` whose failure nobody looks at."""
     if any(command.name == "trap" and "ERR" in {word.text for word in command.words} for command in script):
         return
@@ -71,41 +71,42 @@ def _passed(source: Source, name: str, script: Script) -> Iterator[Finding]:
     if not passed:
         return
     first = script[passed[0]]
-    words = runs(first)
+    words = executed_words(first)
     others = f", and so are {len(passed) - 1} further steps" if len(passed) > 1 else ""
     yield Finding(
-        f"a failure of `{shown(words, 3)}` is ignored{others}: {name} continues and may end with success",
-        **place(name, words[0]),
+        f"a failure of `{quote_command(words, 3)}` is ignored{others}: {name} continues and may end with success",
+        **word_location(name, words[0]),
         expected="set -euo pipefail before the first step",
         got="a script without set -e",
-        evidence={"steps": [shown(runs(script[number]), 4) for number in passed]},
+        evidence={"steps": [quote_command(executed_words(script[number]), 4) for number in passed]},
         fix=Fix("unsafe_edit", "set -euo pipefail", (_first(source, name, "set -euo pipefail"),)),
     )
 
 
-def _hidden(source: Source, name: str, script: Script) -> Iterator[Finding]:
+def _hidden(source: Source, name: str, script: ShellScript) -> Iterator[Finding]:
     """Yield steps whose failure does not end a script with `set -e`: in a pipeline, or before `|| true`."""
     for number, command in enumerate(script):
-        words = runs(command)
+        words = executed_words(command)
         if program(command) not in PYTHONS | INSTALLERS | {"bash", "sh"} or _is_asked(command):
             continue
         following = script[number + 1].name if number + 1 < len(script) else ""
         edits: tuple[Edit, ...] = ()
         if command.end == "|" and "pipefail" not in script.options:
-            message = f"a failure of `{shown(words, 3)}` is lost in the pipe to {following}: {name} ends with success"
+            lost = f"a failure of `{quote_command(words, 3)}` is lost in the pipe to {following}"
+            message = f"{lost}: {name} ends with success"
             expected = "set -o pipefail"
             edits = (_first(source, name, expected),)
         elif command.end == "||" and following in {"true", ":"} and not _may_fail(command):
-            message = f"a failure of `{shown(words, 3)}` is ignored: {name} continues without its result"
+            message = f"a failure of `{quote_command(words, 3)}` is ignored: {name} continues without its result"
             expected = "the step without `|| true`"
             edits = _without(command, script[number + 1], name)
         else:
             continue
         yield Finding(
             message,
-            **place(name, words[0]),
+            **word_location(name, words[0]),
             expected=expected,
-            got=f"{shown(words, 3)} {command.end} {following}",
+            got=f"{quote_command(words, 3)} {command.end} {following}",
             fix=Fix("unsafe_edit" if edits else "advice", expected, edits),
         )
 
@@ -117,7 +118,7 @@ def _is_read(source: Source, name: str) -> bool:
     return not is_standard and (asks or bool(sourced_by(source, name)))
 
 
-def _is_given(source: Source, script: Script) -> bool:
+def _is_given(source: Source, script: ShellScript) -> bool:
     """Tell whether a library that a script reads before its first step sets `errexit` for it."""
     steps = (
         number for number, command in enumerate(script) if _is_step(command) and command.name not in {"source", "."}
@@ -126,9 +127,9 @@ def _is_given(source: Source, script: Script) -> bool:
     return any("errexit" in library.options and number < first for number, library in sources(source, script))
 
 
-def _may_fail(command: Command) -> bool:
+def _may_fail(command: ShellCommand) -> bool:
     """Tell whether nothing lacks where a command failed: it cleans up, asks, or stops something."""
-    words = [word.text for word in runs(command)]
+    words = [word.text for word in executed_words(command)]
     name, rest = program(command), words[1:]
     if name in {"conda", "mamba"} or {"uninstall", "remove", "cache", "check", "show", "list", "config"} & set(
         rest[:3]
@@ -147,7 +148,7 @@ def _first(source: Source, name: str, text: str) -> Edit:
     return Edit(name, line, 1, line, 1, f"{text}\n")
 
 
-def _without(command: Command, alternative: Command, name: str) -> tuple[Edit, ...]:
+def _without(command: ShellCommand, alternative: ShellCommand, name: str) -> tuple[Edit, ...]:
     """Return the edit that deletes `|| true` behind a command on one line."""
     before, after = command.words[-1], alternative.words[0]
     if before.line != after.line or len(alternative.words) != 1:
@@ -155,17 +156,17 @@ def _without(command: Command, alternative: Command, name: str) -> tuple[Edit, .
     return (Edit(name, before.line, before.column + len(before.raw), after.line, after.column + len(after.raw), ""),)
 
 
-def _is_step(command: Command) -> bool:
+def _is_step(command: ShellCommand) -> bool:
     if program(command) not in STEPS or command.end in {"&", "|"} or _is_asked(command):
         return False
     return command.name != "exec"  # nothing comes after it
 
 
-def _is_asked(command: Command) -> bool:
+def _is_asked(command: ShellCommand) -> bool:
     return bool(_ASKED.intersection(command.keywords))
 
 
-def _goes_on(script: Script, number: int) -> bool:
+def _goes_on(script: ShellScript, number: int) -> bool:
     """Tell whether a script without `set -e` goes on after a step that failed."""
     while script[number].end == "&&":
         if number + 1 == len(script):

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import PYTHONS, place, runs, scripts, shown
-from xpl_cli.audit.static.shell import Command, Script
+from xpl_cli.audit.static.scripts.flow import PYTHONS, executed_words, quote_command, scripts, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellScript
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -54,7 +54,7 @@ def stray_processes(source: Source) -> Iterator[Finding]:
     yield from _orphaned(source)
 
 
-def _left(name: str, commands: Script) -> Iterator[Finding]:
+def _left(name: str, commands: ShellScript) -> Iterator[Finding]:
     """Yield what runs in the background when the script ends."""
     if _LAUNCHER.search(name) and name not in _STANDARD:
         return  # what it starts is meant to go on
@@ -66,7 +66,7 @@ def _left(name: str, commands: Script) -> Iterator[Finding]:
     )
     kills = any("kill" in word.raw for command in commands for word in command.words)
     for command in started:
-        words = runs(command)
+        words = executed_words(command)
         is_detached = _DETACHED.match(" ".join(word.text for word in words)) is not None
         if not words or has_trap or (command.end != "&" and not is_detached):
             continue
@@ -74,25 +74,27 @@ def _left(name: str, commands: Script) -> Iterator[Finding]:
             continue
         when = "if a later step fails, " if kills else ""
         yield Finding(
-            f"{when}`{shown(words, 2)}` continues to run after {name} has ended: it keeps its GPU memory and its port",
-            **place(name, words[0]),
+            f"{when}`{quote_command(words, 2)}` continues to run after {name} has ended: it keeps its GPU memory and "
+            "its port",
+            **word_location(name, words[0]),
             expected="trap 'kill \"$pid\"' EXIT, or wait",
-            got=f"{shown(words, 2)} in the background, {'ended only in the last lines' if kills else 'never ended'}",
+            got=f"{quote_command(words, 2)} in the background, "
+            + ("ended only in the last lines" if kills else "never ended"),
             fix=Fix("advice", "store `$!`, and end it in `trap ... EXIT`"),
         )
 
 
-def _by_name(name: str, commands: Script) -> Iterator[Finding]:
+def _by_name(name: str, commands: ShellScript) -> Iterator[Finding]:
     for command in commands:
         if command.name not in _BY_NAME or any("$" in word.raw or word.raw == "-P" for word in command.words):
             continue
         if command.name == "fuser" and not any(word.raw.startswith("-") and "k" in word.raw for word in command.words):
             continue
         yield Finding(
-            f"`{shown(command.arguments)}` also ends processes that {name} did not start: other runs stop",
-            **place(name, command.arguments[0]),
+            f"`{quote_command(command.arguments)}` also ends processes that {name} did not start: other runs stop",
+            **word_location(name, command.arguments[0]),
             expected="kill with the process id that the script stored",
-            got=shown(command.arguments),
+            got=quote_command(command.arguments),
             fix=Fix("advice", "store `$!` of what the script starts, and end that"),
         )
 
@@ -106,32 +108,32 @@ def _orphaned(source: Source) -> Iterator[Finding]:
     if not _starts(outer, called) or not _ends_one(outer) or not inner:
         return
     last = inner[-1]
-    words = runs(last)
+    words = executed_words(last)
     name = words[0].text.rpartition("/")[2].upper() if words else ""
     is_server = name in {"UV", *map(str.upper, PYTHONS)} or "PYTHON" in name
     if is_server and last.name != "exec" and last.end != "&":
         yield Finding(
             f"{caller} ends the shell of {called} and not the server in it, which keeps its GPU memory and its port",
-            **place(called, last.words[0]),
-            expected=f"exec {shown(words, 1)}",
-            got=shown(words, 2),
-            fix=Fix("advice", f"exec {shown(words, 1)} ..., or start it in a group of its own and end the group"),
+            **word_location(called, last.words[0]),
+            expected=f"exec {quote_command(words, 1)}",
+            got=quote_command(words, 2),
+            fix=Fix("advice", f"exec {quote_command(words, 1)} ..., or start it in its own group and end the group"),
         )
 
 
-def _starts(outer: Script, called: str) -> bool:
+def _starts(outer: ShellScript, called: str) -> bool:
     """Tell whether a script starts another one in the background, in the same process group."""
     names = {name for command in outer for name, value in command.assignments if called in value.raw}
     return any(command.end == "&" and _names(command, called, names) and command.name != "setsid" for command in outer)
 
 
-def _names(command: Command, called: str, variables: set[str]) -> bool:
+def _names(command: ShellCommand, called: str, variables: set[str]) -> bool:
     return any(
         called in word.raw or any(item.name in variables for item in word.expansions) for word in command.arguments[:3]
     )
 
 
-def _ends_one(outer: Script) -> bool:
+def _ends_one(outer: ShellScript) -> bool:
     """Tell whether a script ends single processes only: no process group, no children."""
     kills = [command for command in outer if command.name == "kill"]
     words = [word.text for command in kills for word in command.arguments[1:]]

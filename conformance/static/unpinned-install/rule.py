@@ -10,8 +10,8 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, Location, NotApplicable, rule
 from xpl_cli.audit.static import vendored
 from xpl_cli.audit.static.manifests import key_line
-from xpl_cli.audit.static.scripts.flow import place, runs
-from xpl_cli.audit.static.shell import Command, Word
+from xpl_cli.audit.static.scripts.flow import executed_words, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellWord
 from xpl_cli.audit.static.source import Source
 
 REQUIREMENTS: Final = "requirements.txt"
@@ -85,7 +85,7 @@ def _script(source: Source) -> Iterator[Finding]:
         pinned |= _OF_TORCH
     loose = [(name, word) for word in words for name in _loose(word.text) if name not in pinned]
     if loose:
-        yield _finding(place(sdk.File.INSTALL_SH, loose[0][1]), list(dict.fromkeys(name for name, _ in loose)))
+        yield _finding(word_location(sdk.File.INSTALL_SH, loose[0][1]), list(dict.fromkeys(name for name, _ in loose)))
 
 
 def _declared(source: Source) -> set[str]:
@@ -99,14 +99,14 @@ def _declared(source: Source) -> set[str]:
     return found
 
 
-def _is_install(command: Command) -> bool:
-    texts = [word.text.rpartition("/")[2] for word in runs(command)[:5]]
+def _is_install(command: ShellCommand) -> bool:
+    texts = [word.text.rpartition("/")[2] for word in executed_words(command)[:5]]
     return "install" in texts and bool({"pip", "pip3"} & set(texts))
 
 
-def _wanted(command: Command) -> Iterator[Word]:
+def _wanted(command: ShellCommand) -> Iterator[ShellWord]:
     """Yield the words of a `pip install` that name what is to be installed."""
-    words = runs(command)
+    words = executed_words(command)
     start = next(number for number, word in enumerate(words) if word.text == "install") + 1
     for word, before in zip(words[start:], words[start - 1 :], strict=False):
         takes_value = before.text in _WITH_VALUE or (before.text.startswith("--") and "url" in before.text)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import SHELLS, place, program, runs, scripts
-from xpl_cli.audit.static.shell import Command, Word
+from xpl_cli.audit.static.scripts.flow import SHELLS, executed_words, program, scripts, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellWord
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
@@ -48,14 +48,14 @@ def unquoted_argument(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter has no scripts")
 
 
-def _by_position(command: Command) -> list[Word]:
+def _by_position(command: ShellCommand) -> list[ShellWord]:
     """Return what a program gets behind its script's name, without options and their values."""
-    words = runs(command)[2:]
+    words = executed_words(command)[2:]
     before = ("", *(word.raw for word in words))
     return [word for word, previous in zip(words, before, strict=False) if not previous.startswith("-")]
 
 
-def _is_bare(word: Word, standard: set[str]) -> bool:
+def _is_bare(word: ShellWord, standard: set[str]) -> bool:
     if word.raw in _ALL:
         return True
     if word.raw.startswith(("'", '"')):
@@ -63,8 +63,8 @@ def _is_bare(word: Word, standard: set[str]) -> bool:
     return word.position is not None or (word.variable or "").lower() in standard
 
 
-def _finding(name: str, command: Command, bare: list[Word]) -> Finding:
-    called = runs(command)[1].text.rpartition("/")[2]
+def _finding(name: str, command: ShellCommand, bare: list[ShellWord]) -> Finding:
+    called = executed_words(command)[1].text.rpartition("/")[2]
     which = (bare[0].variable or bare[0].raw) if bare[0].raw[1:] not in {"@", "*"} else "an argument"
     quoted = [f'"{"$@" if word.raw in _ALL else word.raw}"' for word in bare]
     edits = tuple(
@@ -74,7 +74,7 @@ def _finding(name: str, command: Command, bare: list[Word]) -> Finding:
     better = " ".join(quoted)
     return Finding(
         f"if {which} is empty or contains a space, every later argument of {called} shifts",
-        **place(name, bare[0]),
+        **word_location(name, bare[0]),
         expected=better[:120],
         got=" ".join(word.raw for word in bare)[:120],
         fix=Fix("safe_edit", better, edits),

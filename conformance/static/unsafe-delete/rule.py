@@ -6,8 +6,8 @@ import re
 from collections.abc import Iterator
 
 from xpl_cli.audit import Edit, Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import may_be_empty, place, scripts
-from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.scripts.flow import may_be_empty, scripts, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellScript, ShellWord
 from xpl_cli.audit.static.source import Source
 
 _LEADING = re.compile(r"[\"']?\$\{?([A-Za-z_]\w*|\d+)(?::-)?\}?[\"']?/(.*)", re.DOTALL)
@@ -49,7 +49,7 @@ def unsafe_delete(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter has no scripts")
 
 
-def _checked(name: str, script: Script, word: Word) -> Iterator[Finding]:
+def _checked(name: str, script: ShellScript, word: ShellWord) -> Iterator[Finding]:
     leading, closing = _LEADING.fullmatch(word.raw), _CLOSING.fullmatch(word.raw)
     if leading and _is_open(leading.group(1), script):
         deleted = f"/{leading.group(2)}".replace('"', "")
@@ -59,33 +59,33 @@ def _checked(name: str, script: Script, word: Word) -> Iterator[Finding]:
         yield _finding(name, word, closing.group(2), f"all of {deleted} is deleted, including other runs")
 
 
-def _is_open(variable: str, script: Script) -> bool:
+def _is_open(variable: str, script: ShellScript) -> bool:
     if variable.isdigit():
         return "nounset" not in script.options
     return may_be_empty(variable, script)
 
 
-def _elsewhere(name: str, script: Script, word: Word, before: Command | None) -> Iterator[Finding]:
+def _elsewhere(name: str, script: ShellScript, word: ShellWord, before: ShellCommand | None) -> Iterator[Finding]:
     """Yield relative paths that are deleted in the wrong folder if the `cd` before them failed."""
     if before is None or before.name not in {"cd", "pushd"} or "errexit" in script.options:
         return
     if before.end not in {"&&", "||"} and not word.text.startswith(("/", "$", "~", "-")):
         yield Finding(
             f"if `cd` fails, {word.text} is deleted in the folder from which {name} was started",
-            **place(name, word),
+            **word_location(name, word),
             expected="set -e, or cd ... && rm ...",
             got=f"{before.words[0].raw} without a check for failure",
             fix=Fix("advice", "set -e, or delete by a path that starts at the script's folder"),
         )
 
 
-def _finding(name: str, word: Word, variable: str, consequence: str) -> Finding:
+def _finding(name: str, word: ShellWord, variable: str, consequence: str) -> Finding:
     checked = f"${{{variable}:?}}"
     text = re.sub(rf"\$(?:{variable}\b|\{{{variable}(?::-)?\}})", lambda _: checked, word.raw)
     end = word.column + len(word.raw)
     return Finding(
         f"if {variable} is empty, {consequence}",
-        **place(name, word),
+        **word_location(name, word),
         expected=checked,
         got=word.raw,
         fix=Fix("safe_edit", f"{checked} for ${variable}", (Edit(name, word.line, word.column, word.line, end, text),)),

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import SHELLS, place, scripts
-from xpl_cli.audit.static.shell import Command, Script, Word
+from xpl_cli.audit.static.scripts.flow import SHELLS, scripts, word_location
+from xpl_cli.audit.static.shell import ShellCommand, ShellScript, ShellWord
 from xpl_cli.audit.static.source import Source
 
 _ALWAYS: Final = re.compile(
@@ -55,7 +55,7 @@ def unset_variable(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter has no scripts")
 
 
-def _unset(name: str, script: Script, unknown: set[str]) -> Iterator[Finding]:
+def _unset(name: str, script: ShellScript, unknown: set[str]) -> Iterator[Finding]:
     """Yield the first expansion of each of these variables, as far as hardly any caller sets it."""
     nounset = "nounset" in script.options
     left = {
@@ -73,7 +73,7 @@ def _unset(name: str, script: Script, unknown: set[str]) -> Iterator[Finding]:
                 yield _finding(name, word, f"{item.name} is never set: {then}", f"{item.name} set, or a default")
 
 
-def _extended(name: str, script: Script) -> Iterator[Finding]:
+def _extended(name: str, script: ShellScript) -> Iterator[Finding]:
     """Yield search paths that are extended by their own value, whether or not they have one."""
     seen: set[str] = set()
     for command in script:
@@ -95,7 +95,7 @@ def _extended(name: str, script: Script) -> Iterator[Finding]:
             yield _finding(name, value, f"if the caller does not set {variable}, {then}", wanted)
 
 
-def _sets_unknown(command: Command) -> bool:
+def _sets_unknown(command: ShellCommand) -> bool:
     """Tell whether a command may set any variable: another file that is read in, or `eval`."""
     if command.name == "eval":
         return True
@@ -104,10 +104,10 @@ def _sets_unknown(command: Command) -> bool:
     return not re.search(r"(?:conda\.sh|mamba\.sh|activate|\.bashrc)[\"']?$", command.arguments[1].raw)
 
 
-def _finding(name: str, word: Word, message: str, expected: str) -> Finding:
+def _finding(name: str, word: ShellWord, message: str, expected: str) -> Finding:
     return Finding(
         message,
-        **place(name, word),
+        **word_location(name, word),
         expected=expected,
         got=word.raw[:80],
         fix=Fix("advice", f"write {expected}" if expected.startswith("$") else "set it, or write `${name:?what for}`"),

@@ -28,11 +28,11 @@ def read_yaml(data: bytes) -> None:
 
 def read_shell(data: bytes) -> None:
     """Read a script; every word is where it is said to be, and says what it expands."""
-    from xpl_cli.audit.static import reading
+    from xpl_cli.audit.static import file_reading
     from xpl_cli.audit.static.limits import TooMuchError
     from xpl_cli.audit.static.shell import parse
 
-    text, _ = reading.decoded(data, python=False)
+    text, _ = file_reading.decode_text(data, python=False)
     lines = text.split("\n")
     with contextlib.suppress(TooMuchError):
         script = parse(text)
@@ -50,7 +50,7 @@ def read_python(data: bytes) -> None:
     import ast
 
     from xpl_cli.audit.rules.model import NotApplicable, NotRun
-    from xpl_cli.audit.static.adapter import Adapter
+    from xpl_cli.audit.static.model_class import ModelClass
     from xpl_cli.audit.static.source import Source
 
     with tempfile.TemporaryDirectory() as folder:
@@ -61,7 +61,7 @@ def read_python(data: bytes) -> None:
             ast.unparse(source.tree("model.py"))
             assert source.functions("model.py") is not None
             assert source.imports("model.py") is not None
-            assert Adapter.of(source).settings is not None
+            assert ModelClass.of(source).settings is not None
 
 
 TARGETS: tuple[Callable[[bytes], None], ...] = (read_yaml, read_shell, read_python)
@@ -95,7 +95,7 @@ def main() -> None:
     sys.path.insert(0, str(ROOT))
     with atheris.instrument_imports(include=["xpl_cli"]):
         from xpl_cli.audit.static import (  # noqa: F401 - instrumented as they are imported
-            reading,
+            file_reading,
             shell,
             source,
         )

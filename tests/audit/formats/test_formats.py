@@ -289,7 +289,8 @@ def test_missing_golden_pairs_are_recorded_next(
     """Serving is next only where something else could not run; demonstrations are an option of the audit alone."""
     wide = ReportContext(context.here, running=("--python", "py"), demonstrations=("--demos", "demos"))
     results = [sample.result("XPL110", Outcome.PASS), *(sample.result(code, Outcome.NOT_RUN) for code in not_run)]
-    gates = [GateReport(Gate.STATIC, results[:1]), *([GateReport(Gate.OFFLINE, results)] if not_run else [])]
+    later = GateReport(Gate.MUJOCO, [sample.result("XPL301", Outcome.NOT_RUN)], reason="the offline gate did not pass")
+    gates = [GateReport(Gate.STATIC, results[:1]), *([GateReport(Gate.OFFLINE, results), later] if not_run else [])]
     around = Circumstances(is_unrecorded=is_unrecorded)
     commands = next_commands([TargetReport("policy/Foo", "Foo", "policy", gates, circumstances=around)], wide)
     assert [line.partition(" policy/Foo")[0] for line in commands] == wanted

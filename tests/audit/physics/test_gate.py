@@ -21,7 +21,7 @@ from xpl_cli.audit.formats.listing import ReportContext
 from xpl_cli.audit.physics.conventions import mismatches
 from xpl_cli.audit.physics.rollout import Inference
 from xpl_cli.audit.physics.simulation import Simulation
-from xpl_cli.audit.physics.swaps import CAMERAS, COLOURS, Swap, image_swaps
+from xpl_cli.audit.physics.swaps import CAMERAS, COLOURS, EnvSwap, image_swaps
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.measurements import RolloutSetup
 from xpl_cli.audit.rules.model import NotApplicable, Outcome
@@ -296,7 +296,7 @@ def test_a_mirrored_world_exchanges_pictures_and_nothing_else() -> None:
     (real,) = env.get_obs_batch([0])
     cameras = list(real["vision"])
     colours, wrists, *_ = image_swaps(cameras)
-    assert (colours, wrists) == (Swap(COLOURS), Swap(CAMERAS, ("cam_left_wrist", "cam_right_wrist")))
+    assert (colours, wrists) == (EnvSwap(COLOURS), EnvSwap(CAMERAS, ("cam_left_wrist", "cam_right_wrist")))
     (seen,) = colours.apply_to(env, robot).get_obs_batch([0])
     for name in cameras:
         assert np.array_equal(seen["vision"][name]["color"], real["vision"][name]["color"][..., ::-1])

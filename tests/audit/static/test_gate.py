@@ -12,7 +12,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome
 from xpl_cli.audit.rules.options import AuditOptions
-from xpl_cli.audit.static.manifests import deleted
+from xpl_cli.audit.static.manifests import delete_edits
 from xpl_cli.audit.static.shell import parse
 from xpl_cli.audit.static.source import Source
 
@@ -145,7 +145,7 @@ def test_words_know_their_place_and_position() -> None:
 def test_a_key_is_deleted_with_its_value_and_nothing_else(tmp_path: Path, before: str, after: str) -> None:
     (tmp_path / "deploy.yml").write_text(before)
     lines = before.split("\n")
-    (edit,) = deleted(Source(tmp_path), "deploy.yml", "b")
+    (edit,) = delete_edits(Source(tmp_path), "deploy.yml", "b")
     text = "\n".join(lines[: edit.line - 1]) + "\n"
     rest = lines[edit.end_line - 1 :]
     rest[0] = rest[0][edit.end_column - 1 :]

@@ -25,7 +25,7 @@ from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.options import AuditOptions
-from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.audit.static.file_reading import SIZE_LIMIT
 from xpl_cli.audit.static.source import Source
 from xpl_cli.basics.formats import REPORTS
 
@@ -361,7 +361,7 @@ class _Vanishing(Source):
 
     def text(self, name: str) -> str:
         """Return the text of a file that has just changed."""
-        if name not in self.seen:
+        if name not in self.files_read:
             type(self).damage(self.path / name)
         return super().text(name)
 

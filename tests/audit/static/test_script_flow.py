@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from xpl_cli.audit.static.scripts.flow import may_be_empty, program, runs
+from xpl_cli.audit.static.scripts.flow import executed_words, may_be_empty, program
 from xpl_cli.audit.static.shell import parse
 
 
@@ -68,7 +68,7 @@ def test_what_a_command_really_runs(command: str, really: str) -> None:
     """Without assignments, `exec` and `env`; nothing where a variable holds the program."""
     (parsed,) = parse(command)
     assert program(parsed) == really
-    assert len(runs(parsed)) == (0 if command == "A=1" else 2)
+    assert len(executed_words(parsed)) == (0 if command == "A=1" else 2)
 
 
 @pytest.mark.parametrize(

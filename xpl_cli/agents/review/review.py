@@ -16,10 +16,10 @@ from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_f
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of, weakest
-from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.audit.static.file_reading import SIZE_LIMIT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress
-from xpl_cli.packages.targets import Target
+from xpl_cli.packages.targets import AuditTarget
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -173,7 +173,7 @@ def _known_before(change: BranchChange, repository: Repository, options: AuditOp
         top.mkdir()
         (top / ".git").touch()  # marks the root, to which findings' paths are relative
         before = [
-            Target(top / touched.path, touched.target.kind, touched.path)
+            AuditTarget(top / touched.path, touched.target.kind, touched.path)
             for touched in changed
             if repository.export(change.base, touched.path, top, largest=SIZE_LIMIT)
         ]

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 _FROZEN: Final = 4
-"""Images in a row that may be equal while the robot moves: cameras are slower than control steps."""
+"""Images in a row that may be equal while the robot moves: a camera may be slower than the control rate."""
 _SHARE: Final = 0.5
 _FEWEST: Final = 3
 """Episodes without which none can be compared with others."""
@@ -29,7 +29,8 @@ class FrameCount(DemonstrationCheck):
     Counts the images of each camera, decoded, and compares with the steps of the episode.
 
     ## Why it matters
-    A video that is one image shorter than its states is read one image off, or ends a loader in the last batch.
+    A video that is one image shorter than its states is read with an offset of one, or crashes a loader at
+    the end.
 
     ## Example
     An episode of 200 steps with 199 images.
@@ -57,17 +58,17 @@ class FrozenFrames(DemonstrationCheck):
     """Images change while the robot moves.
 
     ## What it does
-    Looks for images that equal the one before, byte by byte, while the robot moves: more than four in a row, or more
-    than half of all.
+    Finds images that equal the one before, byte by byte, while the robot moves: more than four in a row, or more than
+    half of all.
 
     ## Why it matters
-    A camera that hangs shows the past. A policy learns to act on what it does not see.
+    A frozen camera shows the past. A policy learns to act on what it does not see.
 
     ## Example
     `wrist` shows one image for 60 steps in the middle of an episode.
 
     ## Use instead
-    Leave the episode out; a camera slower than the control steps is better recorded at its own rate.
+    Leave the episode out; record a camera that is slower than the control rate at its own rate.
 
     ## Fix safety
     No automatic fix.
@@ -76,14 +77,14 @@ class FrozenFrames(DemonstrationCheck):
     code, slug, severity, needs_images = "XPL703", "frozen-frames", "should", True
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at images that are equal."""
+        """Check for repeated images."""
         for name, frames in episode.cameras.items():
             side = _side(name)
             moves = _moving_steps(episode, side)
             if frames.repeats is None or not len(frames.repeats) or moves is None:
                 continue
             if side and frames.repeats.all() and not any(_side(column) == side for column in episode.columns):
-                continue  # the wrist camera of an arm that may well stand still
+                continue  # the wrist camera of an arm that may be at rest
             count = min(len(moves), len(frames.repeats))
             is_frozen = frames.repeats[:count] & moves[:count]
             longest = _longest_run(is_frozen)
@@ -99,9 +100,9 @@ def _side(name: str) -> str:
 
 
 def _moving_steps(episode: EpisodeData, side: str) -> np.ndarray | None:
-    """Return in which steps (T - 1,) the robot moves well, None where no state says it.
+    """Return in which steps (T - 1,) the robot clearly moves, None where no state column shows it.
 
-    Of a camera of one side only the columns of that side count, where columns have sides.
+    For a camera of one side, only the columns of that side count, where columns have sides.
     """
     sided = side and any(_side(name) == side for name in episode.columns)
     speeds = [
@@ -154,27 +155,27 @@ class _FirstFrameCheck(DemonstrationCheck):
 
 
 def _correlation(one: np.ndarray, other: np.ndarray) -> float:
-    """Return how alike two pictures are: their correlation, 0 where one has no content."""
+    """Return the correlation of two images, 0 where one has no content."""
     a, b = one.ravel() - one.mean(), other.ravel() - other.mean()
     length = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / length if length > 1e-6 * one.size else 0.0
 
 
 class MirroredCamera(_FirstFrameCheck):
-    """No episode has a camera mirrored, or upside down, against the others.
+    """No episode has a camera mirrored, or upside down, relative to the others.
 
     ## What it does
-    Compares each first image with the median of the first images of that camera, as it is, mirrored, upside down and
-    turned by half. What is 0.25 more alike the other way, and by 0.6 at least, is a finding.
+    Correlates each first image with the median of the first images of that camera: as it is, mirrored, upside down and
+    rotated by 180 degrees. A correlation that is higher by 0.25, and at least 0.6, is a finding.
 
     ## Why it matters
-    A camera that was mounted or read the other way for a day makes left right in some episodes.
+    A camera that was mounted or read the other way for a day swaps left and right in some episodes.
 
     ## Example
     Episodes 40 to 49 were recorded after the camera driver was changed.
 
     ## Use instead
-    Turn the images of these episodes when you convert.
+    Rotate or mirror the images of these episodes when you convert.
 
     ## Fix safety
     No automatic fix.
@@ -189,33 +190,33 @@ class MirroredCamera(_FirstFrameCheck):
             ways = {
                 "mirrored": image[:, ::-1],
                 "upside down": image[::-1],
-                "turned by half": image[::-1, ::-1],
+                "rotated by 180 degrees": image[::-1, ::-1],
             }
             correlations = {way: _correlation(turned, usual) for way, turned in ways.items()}
             way = max(correlations, key=lambda one: correlations[one])
             if correlations[way] > 0.6 and correlations[way] - plain > 0.25:
-                where = f"{key} (alike by {correlations[way]:.2f} so, by {plain:.2f} as it is)"
-                self.tally.add(f"{name} is {way} against the other episodes", where)
+                where = f"{key} (correlation {correlations[way]:.2f} so, {plain:.2f} as it is)"
+                self.tally.add(f"{name} is {way} relative to the other episodes", where)
         yield from self.tally.findings()
 
 
 class SwappedColours(_FirstFrameCheck):
-    """No episode has blue and red exchanged against the others.
+    """No episode has red and blue swapped relative to the others.
 
     ## What it does
     Compares the difference of red and blue of each first image with that of the median of the first images of that
     camera. Where it is its opposite, and exchanging the two makes it alike by 0.5 at least, that is a finding.
 
     ## Why it matters
-    OpenCV reads BGR. An episode that was written by another script than the others has red things blue, and an
+    OpenCV reads BGR. An episode that was written by another script than the others shows red objects blue, and an
     instruction that names a colour becomes false.
 
     ## Example
     The episodes of one operator show a blue cube where the instruction says red.
 
     ## Use instead
-    Exchange the channels of these episodes when you convert. That all episodes are exchanged, no comparison among them
-    tells: `xpl data probe` looks at the colours that instructions name.
+    Swap the channels of these episodes when you convert. If all episodes are swapped, this check finds nothing:
+    `xpl data probe` checks the colours that instructions name.
 
     ## Fix safety
     No automatic fix.
@@ -231,5 +232,5 @@ class SwappedColours(_FirstFrameCheck):
                 continue  # too grey to tell
             own = float((warmth * normal).sum() / np.sqrt((warmth**2).sum() * (normal**2).sum()))
             if own < -0.5:
-                self.tally.add(f"{name} has blue and red exchanged against the other episodes", f"{key} ({own:.2f})")
+                self.tally.add(f"{name} has red and blue swapped relative to the other episodes", f"{key} ({own:.2f})")
         yield from self.tally.findings()

@@ -27,7 +27,7 @@ from xpl.robots import HANDED_ON
 from xpl_cli import __version__
 from xpl_cli.audit.rules.model import NotRun, Outcome, RuleResult
 from xpl_cli.audit.rules.registry import lookup
-from xpl_cli.audit.static.reading import SIZE_LIMIT
+from xpl_cli.audit.static.file_reading import SIZE_LIMIT
 from xpl_cli.basics import content, files, user_cache
 from xpl_cli.basics.errors import UserError
 
@@ -115,9 +115,9 @@ class PassCache:
         from xpl_cli.basics.atomic import write_file
 
         with suppress(OSError, ValueError, NotRun):
-            names = {name for name in (*source.files, *source.seen) if "/" in name}
+            names = {name for name in (*source.files, *source.files_read) if "/" in name}
             self._files = {name: _digest(self.package / name) for name in sorted(names)}
-            self.record = source.whole()
+            self.record = source.boundary_hash()
             if self.file.name != f"{_state(self.package)}.json":
                 return
             others = PassCache(self.package, self.file)
@@ -132,7 +132,7 @@ class PassCache:
     def _load(self) -> None:
         """Read the record; one that is invalid, or of other deeper files, is ignored."""
         with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-            document: dict[str, Any] = json_text.parse(files.content(self.file))
+            document: dict[str, Any] = json_text.parse(files.read_regular(self.file))
             deeper = {str(name): str(digest) for name, digest in document["files"].items()}
             passes = {str(code): [str(part) for part in kept] for code, kept in document["passes"].items()}
             if document["format"] != _FORMAT or any(len(kept) != _PARTS for kept in passes.values()):
@@ -188,7 +188,7 @@ def _entry_state(entry: os.DirEntry[str], *, direct: bool) -> bytes:
 def _digest(file: Path) -> str:
     """Return the hash of a file's content; of a file that is too large to be read as source, its size."""
     size = file.stat().st_size
-    return f"{size} bytes" if size > SIZE_LIMIT else hashlib.sha256(files.content(file, SIZE_LIMIT)).hexdigest()
+    return f"{size} bytes" if size > SIZE_LIMIT else hashlib.sha256(files.read_regular(file, SIZE_LIMIT)).hexdigest()
 
 
 @cache
@@ -203,7 +203,9 @@ def tool_digest() -> str:
     engine = Path(__file__).parents[2]
     below = (*(engine / room for room in _PACKAGES), engine.parent / "xpl")
     code = (path for start in below for folder, _, _ in os.walk(start) for path in _python_files(Path(folder)))
-    content_files = (path for name in ("spec", "templates") for path in content.room(name).rglob("*") if path.is_file())
+    content_files = (
+        path for name in ("spec", "templates") for path in content.content_folder(name).rglob("*") if path.is_file()
+    )
     versions = f"{__version__} {platform.python_implementation()} {platform.python_version()} {yaml.__version__}"
     return _hash_files((*code, *content_files), versions)
 

@@ -11,10 +11,10 @@ from xpl_cli.basics.git.history import Repository
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from xpl_cli.packages.targets import Target
+    from xpl_cli.packages.targets import AuditTarget
 
 
-def select_changed(ref: str, targets: Iterable[Target], *, is_run: bool = False) -> list[Target]:
+def select_changed(ref: str, targets: Iterable[AuditTarget], *, is_run: bool = False) -> list[AuditTarget]:
     """Return the packages with a file that differs from the merge base of a commit and HEAD.
 
     Later changes on the other branch do not count. Files that are not committed, or not even added, do. A deleted file
@@ -30,7 +30,7 @@ def select_changed(ref: str, targets: Iterable[Target], *, is_run: bool = False)
         UserError: if a package is in no git repository, or in a nested one, or if the commit or git does not exist.
     """
     here, targets = Path.cwd(), list(targets)
-    by_repository: dict[Repository, list[Target]] = {}
+    by_repository: dict[Repository, list[AuditTarget]] = {}
     for target in targets:
         by_repository.setdefault(Repository.of_package(target.path, here), []).append(target)
     changed = {
@@ -41,7 +41,7 @@ def select_changed(ref: str, targets: Iterable[Target], *, is_run: bool = False)
     return [target for target in targets if target in changed]
 
 
-def _changed_in(repository: Repository, ref: str, targets: list[Target], *, is_run: bool) -> Iterator[Target]:
+def _changed_in(repository: Repository, ref: str, targets: list[AuditTarget], *, is_run: bool) -> Iterator[AuditTarget]:
     paths = repository.changed(repository.base(ref), [target.path for target in targets])
     for target in targets:
         names = {path.relative_to(target.path).as_posix() for path in paths if path.is_relative_to(target.path)}

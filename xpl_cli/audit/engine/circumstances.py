@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.gates import GATES
 from xpl_cli.audit.rules.model import Circumstances, NotRun
-from xpl_cli.audit.static import reading
+from xpl_cli.audit.static import file_reading
 from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.phrases import join_limited
 from xpl_cli.basics.untrusted import command
-from xpl_cli.basics.words import listed
 from xpl_cli.model_io import names
 from xpl_cli.packages.package import ENV
 from xpl_cli.standard import spec
@@ -64,7 +64,9 @@ def placeholders(source: Source) -> Iterator[str]:
     marker = re.compile(rf"{re.escape(spec.data('package')['placeholder'])}:\s*\S")
     try:
         with os.scandir(source.path) as entries:
-            names_found = sorted(entry.name for entry in entries if reading.is_text(entry.name) and entry.is_file())
+            names_found = sorted(
+                entry.name for entry in entries if file_reading.is_text(entry.name) and entry.is_file()
+            )
     except OSError:  # a rule of the static gate reports it
         return
     for name in names_found:
@@ -117,8 +119,8 @@ def _narrowing_parts(kind: str, options: AuditOptions) -> Iterator[str]:
     if len(selected_gates) < len(GATES[kind]):
         yield f"{' and '.join(selected_gates) or 'no gate'} only"
     if options.names:
-        yield f"only {listed(options.names, _MOST)}"
+        yield f"only {join_limited(options.names, _MOST)}"
     if options.ignore:
-        yield f"without {listed(options.ignore, _MOST)}"
+        yield f"without {join_limited(options.ignore, _MOST)}"
     if kind == ENV and options.overrides:
-        yield f"only with --set {listed(tuple(options.overrides), _MOST)}"
+        yield f"only with --set {join_limited(tuple(options.overrides), _MOST)}"

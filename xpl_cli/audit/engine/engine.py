@@ -34,7 +34,7 @@ from xpl_cli.packages.package import ENV
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.options import AuditOptions
-    from xpl_cli.packages.targets import Target
+    from xpl_cli.packages.targets import AuditTarget
 
 
 def audit(path: Path, kind: str, options: AuditOptions, *, display_path: str | None = None) -> TargetReport:
@@ -53,7 +53,7 @@ def audit(path: Path, kind: str, options: AuditOptions, *, display_path: str | N
     return report
 
 
-def audit_all(targets: Sequence[Target], options: AuditOptions) -> list[TargetReport]:
+def audit_all(targets: Sequence[AuditTarget], options: AuditOptions) -> list[TargetReport]:
     """Audit several packages; the reports are in the order of the packages."""
     if len(targets) < 2 or Gate.STATIC not in options.gates:
         return [audit(target.path, target.kind, options, display_path=target.shown) for target in targets]
@@ -75,7 +75,7 @@ def audit_all(targets: Sequence[Target], options: AuditOptions) -> list[TargetRe
     return reports
 
 
-def _audit_static(task: tuple[Target, AuditOptions]) -> TargetReport:
+def _audit_static(task: tuple[AuditTarget, AuditOptions]) -> TargetReport:
     """Audit one of many packages; an error in one does not affect the others."""
     target, options = task
     try:
@@ -87,7 +87,8 @@ def _audit_static(task: tuple[Target, AuditOptions]) -> TargetReport:
 
 
 def _crash_report(
-    target: Target, reason: str = "the process that read the package died; xpl audit of this package alone shows how"
+    target: AuditTarget,
+    reason: str = "the process that read the package died; xpl audit of this package alone shows how",
 ) -> TargetReport:
     """Return the report on a package whose process died, for example of memory."""
     rule = find("parses")
@@ -165,7 +166,7 @@ def _run_gate(
         simulation = facts.computed("simulation")
         report.measurements = tuple(simulation.measurements) if simulation is not None else ()
         if gate is Gate.STATIC:  # which reads the files anyway, unless they are unchanged
-            report.source = (passes.record if passes is not None else "") or source.whole()
+            report.source = (passes.record if passes is not None else "") or source.boundary_hash()
         if gate is Gate.STATIC:
             records = [f"source {report.source}"]
         elif records is None:

@@ -20,14 +20,14 @@ from xpl_cli.audit.engine.engine import audit_all
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import UserError
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.progress import Progress
-from xpl_cli.basics.words import amount
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import Edit, Fix, TargetReport
     from xpl_cli.audit.rules.options import AuditOptions
-    from xpl_cli.packages.targets import Target
+    from xpl_cli.packages.targets import AuditTarget
 
 _SAFE: Final = frozenset(("safe_edit",))
 _ALL: Final = frozenset(("safe_edit", "unsafe_edit"))
@@ -86,12 +86,12 @@ class FixPlan:
 
     def summary(self, *, done: bool) -> str:
         """Return a summary in words: what would change, or what was changed if `done`."""
-        number, files = amount(self.fixes, "fix", "fixes"), amount(len(self.changes), "file")
+        number, files = count_noun(self.fixes, "fix", "fixes"), count_noun(len(self.changes), "file")
         lines = [f"{number} {'applied to' if done else 'would change'} {files}"]
         if self.later:
-            lines.append(f"{amount(self.later, 'fix', 'fixes')} left, because they overlap with others: run again")
+            lines.append(f"{count_noun(self.later, 'fix', 'fixes')} left, because they overlap with others: run again")
         if self.unsafe:
-            lines.append(f"{amount(self.unsafe, 'unsafe fix', 'unsafe fixes')} left: --unsafe-fixes takes them too")
+            lines.append(f"{count_noun(self.unsafe, 'unsafe fix', 'unsafe fixes')} left: --unsafe-fixes takes them too")
         return "\n".join([*lines, *self.refused])
 
     def apply(self) -> None:
@@ -118,7 +118,7 @@ class FixPlan:
             ) from error
 
 
-def plan_all(targets: Sequence[Target], options: AuditOptions, *, unsafe: bool = False) -> FixPlan:
+def plan_all(targets: Sequence[AuditTarget], options: AuditOptions, *, unsafe: bool = False) -> FixPlan:
     """Return what the fixes of the static gate would do to packages; other gates have none.
 
     Args:

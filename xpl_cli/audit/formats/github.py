@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_findings, notes, unproven_rules, verdicts
 from xpl_cli.audit.formats.next_steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import escape_controls
-from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -35,7 +35,7 @@ def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
         command("notice", f"{path}: {said}", title="xpl audit") for _, path, said in verdicts(reports, context)
     )
     lines += itertools.islice((*verdict_commands, *note_commands), CAP)
-    left_out = [amount(count - CAP, f"more {kind}") for kind, count in counts.items() if count > CAP]
+    left_out = [count_noun(count - CAP, f"more {kind}") for kind, count in counts.items() if count > CAP]
     if left_out:
         again = audit_again(reports, context)
         summary = f"{' and '.join(left_out)} not shown here: {CAP} of a kind fit. {again} lists all of them."

@@ -22,8 +22,8 @@ from xpl_cli.audit.formats.next_steps import audit_again, next_commands
 from xpl_cli.audit.formats.styled_text import OutputStyle, StyledText
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport, count_outcomes
 from xpl_cli.audit.rules.verdict import Verdict, VerdictStatus, verdict_of
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import one_line
-from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,7 +130,7 @@ def _target(
         if alone and gate.finish is not None:
             lines.append(StyledText.of((f"  {gate.finish}", "dim")))
     if len(fitting) < len(entries):
-        more = amount(len(entries) - len(fitting), "finding")
+        more = count_noun(len(entries) - len(fitting), "finding")
         lines.append(StyledText.of(f"  {more} more: `{one_line(again)} --output audit.txt` lists all"))
     return [*lines, StyledText.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else StyledText()]
 

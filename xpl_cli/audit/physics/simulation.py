@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl.contract import ObservationDict
     from xpl.environment import TaskEnv
     from xpl_cli.audit.physics.rollout import StepCallback
-    from xpl_cli.audit.physics.swaps import Swap
+    from xpl_cli.audit.physics.swaps import EnvSwap
     from xpl_cli.audit.rules.measurements import SuccessMeasurement
     from xpl_cli.audit.served.probe import Probe
     from xpl_cli.audit.served.recorded_client import RecordedClient
@@ -150,7 +150,7 @@ class Simulation:
         """
         return _require_sound(self.rollout(setup, seeds, again=again))
 
-    def swapped_rollout(self, setup: RolloutSetup, swap: Swap) -> PhysicsRollout:
+    def swapped_rollout(self, setup: RolloutSetup, swap: EnvSwap) -> PhysicsRollout:
         """Run the adapter for some chunks in an environment with one thing swapped.
 
         Raises:
@@ -302,7 +302,9 @@ class Simulation:
         except NotFoundError as error:
             raise NotRun(str(error)) from None
 
-    def run_episodes(self, setup: RolloutSetup, seeds: Sequence[int], swap: Swap | None = None) -> list[EpisodeOutcome]:
+    def run_episodes(
+        self, setup: RolloutSetup, seeds: Sequence[int], swap: EnvSwap | None = None
+    ) -> list[EpisodeOutcome]:
         """Run whole episodes, several in one batch, and return their results.
 
         Args:
@@ -335,7 +337,7 @@ class Simulation:
         *,
         only: int | None = None,
         whole: bool = False,
-        swap: Swap | None = None,
+        swap: EnvSwap | None = None,
         records_video: bool = False,
         recorded: list[ObservationDict] | None = None,
         executed_from: PhysicsRollout | None = None,

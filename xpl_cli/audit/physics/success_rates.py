@@ -9,7 +9,7 @@ from xpl_cli.audit.rules.measurements import ENVIRONMENT, RolloutSetup, SuccessM
 
 if TYPE_CHECKING:
     from xpl_cli.audit.physics.simulation import Simulation
-    from xpl_cli.audit.physics.swaps import Swap
+    from xpl_cli.audit.physics.swaps import EnvSwap
 
 CLAIMED_EPISODES, USUAL_EPISODES = 20, 3
 """Number of episodes for a claim without one, and without a claim."""
@@ -61,7 +61,7 @@ def measure(simulation: Simulation, setup: RolloutSetup, episodes: int) -> Succe
     return measurement
 
 
-def measure_swapped(simulation: Simulation, setup: RolloutSetup, episodes: int, swap: Swap) -> SuccessMeasurement:
+def measure_swapped(simulation: Simulation, setup: RolloutSetup, episodes: int, swap: EnvSwap) -> SuccessMeasurement:
     """Run the same in an environment with one thing swapped; it is not added to the report.
 
     Raises:
@@ -71,7 +71,7 @@ def measure_swapped(simulation: Simulation, setup: RolloutSetup, episodes: int, 
 
 
 def _run_and_measure(
-    simulation: Simulation, setup: RolloutSetup, episodes: int, swap: Swap | None
+    simulation: Simulation, setup: RolloutSetup, episodes: int, swap: EnvSwap | None
 ) -> SuccessMeasurement:
     results = simulation.run_episodes(setup, simulation.seeds(setup, episodes), swap)
     scores = [result.score for result in results]

@@ -26,7 +26,7 @@ _WRIST = "wrist"
 
 
 @dataclass(frozen=True)
-class Swap:
+class EnvSwap:
     """One thing that is swapped in an environment.
 
     Attributes:
@@ -68,17 +68,17 @@ class Swap:
         return SwappedEnv(env, self, [arm.prefix + sdk.State.EE_JOINT_STATE for arm in robot.arms])
 
 
-def image_swaps(cameras: Sequence[str]) -> list[Swap]:
+def image_swaps(cameras: Sequence[str]) -> list[EnvSwap]:
     """Return the swaps of images, for the cameras that a policy reads.
 
     They are tried before grippers: a policy with red and blue swapped may close its gripper instead of opening it.
     """
     pairs = sorted(itertools.combinations(cameras, 2), key=lambda pair: -sum(_WRIST in name for name in pair))
-    colours = [Swap(COLOURS)] if cameras else []
-    return [*colours, *(Swap(CAMERAS, pair) for pair in pairs[:_PAIRS])]
+    colours = [EnvSwap(COLOURS)] if cameras else []
+    return [*colours, *(EnvSwap(CAMERAS, pair) for pair in pairs[:_PAIRS])]
 
 
-GRIPPER_SWAPS = tuple(Swap(GRIPPERS, names) for names in ((COMMANDS,), (OBSERVATIONS,), (COMMANDS, OBSERVATIONS)))
+GRIPPER_SWAPS = tuple(EnvSwap(GRIPPERS, names) for names in ((COMMANDS,), (OBSERVATIONS,), (COMMANDS, OBSERVATIONS)))
 """Every swap of open and closed."""
 
 
@@ -91,7 +91,7 @@ class SwappedEnv:
         keys: keys of grippers in states and actions.
     """
 
-    def __init__(self, env: LoopEnv, swap: Swap, keys: Sequence[str]) -> None:
+    def __init__(self, env: LoopEnv, swap: EnvSwap, keys: Sequence[str]) -> None:
         self._env, self._swap, self._keys = env, swap, tuple(keys)
 
     def get_running_env_idx_list(self) -> list[int]:

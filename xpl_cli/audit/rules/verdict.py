@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final, Self
 
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, GATES
 from xpl_cli.audit.rules.model import SHARED, Outcome
-from xpl_cli.basics.words import amount, listed
+from xpl_cli.basics.phrases import count_noun, join_limited
 from xpl_cli.packages.package import ENV, POLICY
 
 if TYPE_CHECKING:
@@ -64,13 +64,15 @@ class VerdictClaim:
 
 def _parity_details(numbers: Numbers) -> Iterable[str]:
     """Yield the number of golden pairs, and the conventions without a source."""
-    yield amount(numbers.get("pairs", 0), "pair")
+    yield count_noun(numbers.get("pairs", 0), "pair")
     if not numbers.get("conventions", True):
         yield "no convention named"
     elif numbers.get("assumptions"):
         yield f"assumed: {', '.join(numbers['assumptions'])}"
     elif "assumed" in numbers:  # in reports of earlier versions
-        yield f"{amount(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+        yield (
+            f"{count_noun(numbers['assumed'], 'convention')} assumed" if numbers["assumed"] else "no convention assumed"
+        )
     if numbers.get("undetermined"):
         yield f"undetermined: {', '.join(numbers['undetermined'])}"
     if "margin" in numbers:
@@ -78,15 +80,15 @@ def _parity_details(numbers: Numbers) -> Iterable[str]:
             **numbers["margin"]
         )
     if "independent" in numbers:
-        sources = listed(numbers["independent"], _MOST)
+        sources = join_limited(numbers["independent"], _MOST)
         yield f"independent: {sources}" if sources else "one reading twice"
     if numbers.get(SHARED):
-        yield f"one mistake may be in both ({listed(numbers[SHARED], _MOST)})"
+        yield f"one mistake may be in both ({join_limited(numbers[SHARED], _MOST)})"
 
 
 def _demonstration_details(numbers: Numbers) -> Iterable[str]:
     """Yield the number of demonstrations that the policy was compared with."""
-    yield amount(numbers.get("episodes", 0), "episode")
+    yield count_noun(numbers.get("episodes", 0), "episode")
 
 
 CONTRACT: Final = VerdictClaim("contract", "contract")
@@ -177,7 +179,7 @@ class Verdict:
         if self.status is not VerdictStatus.GREEN:
             parts += map(str, (*self.proven, *(item for item in self.extra if isinstance(item, ProvenClaim))))
         if self.waived:
-            parts.append(f"{amount(len(self.waived), 'finding')} waived ({_list_codes(self.waived)})")
+            parts.append(f"{count_noun(len(self.waived), 'finding')} waived ({_list_codes(self.waived)})")
         unproven = [*self.unproven, *(item for item in self.extra if isinstance(item, UnprovenClaim))]
         return "; ".join([*parts, *(str(item) for item in unproven if item.is_reported)])
 
@@ -331,9 +333,9 @@ def _limits_of_contract(gates: Sequence[GateSummary], circumstances: Circumstanc
         if gate.outcome is Outcome.NOT_APPLICABLE:
             yield f"not in the {gate.name} gate ({gate.reason or 'no rule of it applies'})"
     if circumstances.assumed and circumstances.without_pairs is not None:
-        yield f"{amount(len(circumstances.assumed), 'value')} assumed ({', '.join(circumstances.assumed)})"
+        yield f"{count_noun(len(circumstances.assumed), 'value')} assumed ({', '.join(circumstances.assumed)})"
     if circumstances.settings:
-        yield f"with --set {listed(circumstances.settings, _MOST)}"
+        yield f"with --set {join_limited(circumstances.settings, _MOST)}"
 
 
 def _demonstration_claims(
@@ -377,18 +379,18 @@ def _doubt_of(result: RuleResult) -> str | None:
     if result.waived:
         return f"findings of {result.code} are waived"
     if result.findings:
-        return f"{result.code} found {amount(len(result.findings), 'difference')}"
+        return f"{result.code} found {count_noun(len(result.findings), 'difference')}"
     return None if result.outcome is Outcome.PASS else result.reason
 
 
 def _count_places(entries: Sequence[str], noun: str, what: str) -> str:
-    return f"{amount(len(entries), noun)} {what} ({listed(entries, 1)})" if entries else ""
+    return f"{count_noun(len(entries), noun)} {what} ({join_limited(entries, 1)})" if entries else ""
 
 
 def _count_codes(codes: Sequence[str], what: str) -> str:
-    return f"{amount(len(codes), 'rule')} {what} ({_list_codes(codes)})" if codes else ""
+    return f"{count_noun(len(codes), 'rule')} {what} ({_list_codes(codes)})" if codes else ""
 
 
 def _list_codes(codes: Sequence[str]) -> str:
     """Return codes as text, each once, however often it occurs."""
-    return listed(list(Counter(codes)), _MOST)
+    return join_limited(list(Counter(codes)), _MOST)

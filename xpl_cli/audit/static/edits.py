@@ -11,18 +11,18 @@ if TYPE_CHECKING:
     from xpl_cli.audit.static.source import Source
 
 
-def replaced(source: Source, file: str, node: ast.AST, text: str) -> Edit:
+def replace_node(source: Source, file: str, node: ast.AST, text: str) -> Edit:
     """Return the edit that puts a text in the place of a node."""
     at = source.at(file, node)
     return Edit(file, at["line"], at["column"], at["end_line"], at["end_column"], text)
 
 
-def written(source: Source, file: str, node: ast.AST) -> str:
+def source_segment(source: Source, file: str, node: ast.AST) -> str:
     """Return a node as it is written in its file."""
     return ast.get_source_segment(source.text(file), node) or ast.unparse(node)
 
 
 def same_quotes(source: Source, file: str, node: ast.AST, text: str) -> str:
     """Return a string literal in the quotes that a literal of the file has."""
-    quote = "'" if written(source, file, node).endswith("'") else '"'
+    quote = "'" if source_segment(source, file, node).endswith("'") else '"'
     return f"{quote}{text}{quote}"

@@ -41,10 +41,10 @@ class Function:
     @cached_property
     def kinds(self) -> dict[type[ast.AST], list[ast.AST]]:
         """Its nodes by their type, each list in the order of `nodes`."""
-        found: dict[type[ast.AST], list[ast.AST]] = {}
+        by_type: dict[type[ast.AST], list[ast.AST]] = {}
         for node in self.nodes:
-            found.setdefault(type(node), []).append(node)
-        return found
+            by_type.setdefault(type(node), []).append(node)
+        return by_type
 
     def of(self, *kinds: type[_Node]) -> list[_Node]:
         """Return its nodes of some types."""

@@ -24,23 +24,23 @@ def read(source: Source) -> lock.Lock:
     return lock.parse(source.text(LOCK), LOCK)
 
 
-def edited(source: Source, kept: lock.Lock) -> list[str]:
+def edited_files(source: Source, lock_file: lock.Lock) -> list[str]:
     """Return the generated files that are there and not as they were rendered; those that are free may be otherwise."""
-    names = [name for name in kept.generated if name not in kept.free and source.has(name)]
-    return [name for name in names if lock.digest(source.text(name).encode()) != kept.generated[name]]
+    names = [name for name in lock_file.generated if name not in lock_file.free and source.has(name)]
+    return [name for name in names if lock.digest(source.text(name).encode()) != lock_file.generated[name]]
 
 
-def rendered(source: Source) -> dict[str, bytes]:
+def rendered_files(source: Source) -> dict[str, bytes]:
     """Return the files of a package as they were rendered, as far as it still tells."""
     for_editors = {schemas.path(name): schemas.render(name) for name in schemas.MANIFESTS}
     try:
-        told = lock.parse_rendered(source.text(lock.RENDERED)) if source.has(lock.RENDERED) else {}
+        files = lock.parse_rendered(source.text(lock.RENDERED)) if source.has(lock.RENDERED) else {}
     except (ValueError, AttributeError):
-        told = {}
-    return {**told, **for_editors}
+        files = {}
+    return {**files, **for_editors}
 
 
-def undone(source: Source, name: str, content: bytes | None, digest: str) -> Edit | None:
+def restore_edit(source: Source, name: str, content: bytes | None, digest: str) -> Edit | None:
     """Return the edit that brings a file back as it was; None where nobody knows how that was.
 
     Args:

@@ -6,13 +6,13 @@ import ast
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.static import reading
+from xpl_cli.audit.static import file_reading
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
 
-def own(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str, str]:
+def own_imports(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str, str]:
     """Return the package's modules that a file imports: dotted name as written, to file.
 
     Args:
@@ -20,21 +20,21 @@ def own(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str, str]:
         name: of the file, relative to the folder.
         nodes: everything in it.
     """
-    found: dict[str, str] = {}
+    files: dict[str, str] = {}
     here = name.rpartition("/")[0]
     for node in nodes:
-        wanted: list[tuple[str, int]] = []
+        candidates: list[tuple[str, int]] = []
         if isinstance(node, ast.Import):
-            wanted = [(alias.name, 0) for alias in node.names]
+            candidates = [(alias.name, 0) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             dot = "." if node.module else ""
-            wanted = [(node.module or "", node.level)]
-            wanted += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
-        for module, level in wanted:
+            candidates = [(node.module or "", node.level)]
+            candidates += [(f"{node.module or ''}{dot}{alias.name}", node.level) for alias in node.names]
+        for module, level in candidates:
             file = _file(package, module, level, here)
             if file is not None and file != name:
-                found["." * level + module] = file
-    return found
+                files["." * level + module] = file
+    return files
 
 
 def _file(package: Path, module: str, level: int, here: str) -> str | None:
@@ -46,4 +46,4 @@ def _file(package: Path, module: str, level: int, here: str) -> str | None:
         base = base.parent
     bases = [base] if level else [base, Path()]
     candidates = ((folder / module.replace(".", "/")).with_suffix(".py").as_posix() for folder in bases if module)
-    return next(filter(None, (reading.inside(package, candidate) for candidate in candidates)), None)
+    return next(filter(None, (file_reading.resolve_inside(package, candidate) for candidate in candidates)), None)

@@ -23,7 +23,7 @@ _DEEPEST: Final = 8
 
 
 @dataclass(frozen=True)
-class Entry:
+class LeafRead:
     """A place that reads a leaf: `data["state"]["ee_pose"]`, `camera.get("color")`, `root["/state/ee_pose"]`.
 
     Attributes:
@@ -41,7 +41,7 @@ class Entry:
     required: bool
 
 
-def entries(function: Function) -> Iterator[Entry]:
+def leaf_reads(function: Function) -> Iterator[LeafRead]:
     """Yield the leaves that a function reads by a constant name."""
     reads = [read for node in function.of(ast.Subscript, ast.Call) if (read := _read(node)) is not None]
     if not reads:
@@ -55,14 +55,14 @@ def entries(function: Function) -> Iterator[Entry]:
         below = path[path.index(group) + 1 :]
         leaf = below[-1] if len(below) == (2 if group == sdk.Obs.VISION else 1) else None
         if leaf is not None:
-            yield Entry(node, key, group, leaf, required=isinstance(node, ast.Subscript))
+            yield LeafRead(node, key, group, leaf, required=isinstance(node, ast.Subscript))
 
 
-def near(name: str, known: Iterable[str]) -> str | None:
+def closest_name(name: str, valid_names: Iterable[str]) -> str | None:
     """Return the known name that a name is a misspelling of, None if it is one of them or resembles none."""
-    known = tuple(known)
-    found = difflib.get_close_matches(name, known, n=1, cutoff=_NEAR)
-    return found[0] if found and name not in known else None
+    valid_names = tuple(valid_names)
+    matches = difflib.get_close_matches(name, valid_names, n=1, cutoff=_NEAR)
+    return matches[0] if matches and name not in valid_names else None
 
 
 def is_number(name: str, other: str) -> bool:
@@ -106,17 +106,17 @@ def _path(node: ast.expr, origins: dict[str, tuple[ast.expr, Path]], depth: int 
 
 def _origins(function: Function) -> dict[str, tuple[ast.expr, Path]]:
     """Return what each local name stands for: an expression, and what is taken out of it. Loops take any entry."""
-    found: dict[str, tuple[ast.expr, Path]] = {}
+    origins: dict[str, tuple[ast.expr, Path]] = {}
     for node in function.of(ast.Assign, ast.For, ast.comprehension):
         if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.targets[0], ast.Name):
-            found[node.targets[0].id] = (node.value, ())
+            origins[node.targets[0].id] = (node.value, ())
         elif isinstance(node, (ast.For, ast.comprehension)) and isinstance(node.iter, ast.Call):
             taken = node.iter.func
             if isinstance(taken, ast.Attribute) and taken.attr in {"values", "items"}:
                 bound = targets(node) if isinstance(node, ast.For) else _flat(node.target)
                 if bound and isinstance(bound[-1], ast.Name):
-                    found[bound[-1].id] = (taken.value, (None,))
-    return found
+                    origins[bound[-1].id] = (taken.value, (None,))
+    return origins
 
 
 def _flat(target: ast.expr) -> list[ast.expr]:

@@ -33,24 +33,24 @@ class TooLong(BaseException):
     """A rule was not done in time. No rule catches it by mistake: it is no `Exception`."""
 
 
-def measured(tree: ast.Module) -> tuple[ast.AST, ...]:
+def bounded_nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
     """Return the nodes of a syntax tree, the outermost first.
 
     Raises:
         TooMuchError: if there are too many, or they are nested too deeply.
     """
-    found: list[ast.AST] = []
+    nodes: list[ast.AST] = []
     level: list[ast.AST] = [tree]
     depth = 0
     while level:
-        found += level
+        nodes += level
         if depth > MOST_LEVELS:
             raise TooMuchError(f"nested more than {MOST_LEVELS} levels deep")
-        if len(found) > MOST_NODES:
+        if len(nodes) > MOST_NODES:
             raise TooMuchError(f"more than {MOST_NODES} nodes of syntax, as only a program writes them")
         level = [child for node in level for child in ast.iter_child_nodes(node)]
         depth += 1
-    return tuple(found)
+    return tuple(nodes)
 
 
 @contextmanager
@@ -70,10 +70,10 @@ def deadline(seconds: float = LONGEST_S) -> Iterator[None]:
         yield
         return
 
-    def ring(_number: int, _frame: object) -> None:
+    def on_alarm(_number: int, _frame: object) -> None:
         raise TooLong
 
-    signal.signal(signal.SIGVTALRM, ring)
+    signal.signal(signal.SIGVTALRM, on_alarm)
     signal.setitimer(signal.ITIMER_VIRTUAL, seconds)
     try:
         yield

@@ -8,7 +8,7 @@ from functools import cache
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl_cli.audit.static.adapter import UPDATE, UPDATE_BATCH, symbols
+from xpl_cli.audit.static.model_class import UPDATE, UPDATE_BATCH, symbols
 from xpl_cli.audit.static.syntax import constant, parameters
 from xpl_cli.standard import spec
 
@@ -23,7 +23,7 @@ UPDATES: Final = (UPDATE, UPDATE_BATCH)
 
 
 @cache
-def wanted() -> tuple[str, ...]:
+def function_names() -> tuple[str, ...]:
     """Return the names of the functions that deploy.py offers."""
     return tuple(spec.data("package")["loop"]["functions"])
 
@@ -36,23 +36,25 @@ def loops(source: Source) -> list[Function]:
     """
     source.tree(sdk.File.DEPLOY_PY)
     functions = symbols(source, sdk.File.DEPLOY_PY).functions
-    return [functions[name] for name in wanted() if name in functions]
+    return [functions[name] for name in function_names() if name in functions]
 
 
-def asked(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
+def policy_calls(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
     """Yield what a function asks of the policy, `call(func_name="reset")`; None for a name made at run time."""
     client = _client(function)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is(node.func.value, client):
             if node.func.attr == sdk.Message.CALL:
-                given = [entry.value for entry in node.keywords if entry.arg == sdk.Payload.FUNC_NAME] or node.args[:1]
-                name = constant(given[0]) if given else None
+                name_arguments = [
+                    entry.value for entry in node.keywords if entry.arg == sdk.Payload.FUNC_NAME
+                ] or node.args[:1]
+                name = constant(name_arguments[0]) if name_arguments else None
                 yield node, name if isinstance(name, str) else None
             else:
                 yield node, node.func.attr
 
 
-def does(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[ast.Call]:
+def environment_calls(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[ast.Call]:
     """Yield calls of these methods of the environment below a node."""
     environment = _environment(function)
     for child in function.nodes if node is function.node else ast.walk(node):
@@ -62,13 +64,13 @@ def does(node: ast.AST, function: Function, names: tuple[str, ...]) -> Iterator[
             yield child
 
 
-def updates(node: ast.AST, function: Function) -> bool:
+def sends_observation(node: ast.AST, function: Function) -> bool:
     """Tell whether the policy is shown an observation below a node."""
     inside = set(map(id, ast.walk(node)))
-    return any(id(call) in inside and name in UPDATES for call, name in asked(function))
+    return any(id(call) in inside and name in UPDATES for call, name in policy_calls(function))
 
 
-def hands_on(node: ast.AST, function: Function, source: Source, parameter: int, names: tuple[str, ...] = ()) -> bool:
+def passes_on(node: ast.AST, function: Function, source: Source, parameter: int, names: tuple[str, ...] = ()) -> bool:
     """Tell whether the environment or the client is given, below a node, to a function that may do something there.
 
     Args:
@@ -78,10 +80,10 @@ def hands_on(node: ast.AST, function: Function, source: Source, parameter: int, 
         parameter: 0 for the environment, 1 for the client.
         names: methods of it; a function of the boundary that calls none of them does not count.
     """
-    wanted_name = _environment(function) if parameter == 0 else _client(function)
+    parameter_name = _environment(function) if parameter == 0 else _client(function)
     functions = symbols(source, function.file).functions
     for child in ast.walk(node):
-        if isinstance(child, ast.Call) and any(_is(value, wanted_name) for value in child.args):
+        if isinstance(child, ast.Call) and any(_is(value, parameter_name) for value in child.args):
             other = functions.get(child.func.id) if isinstance(child.func, ast.Name) else None
             if other is None or not names:
                 return True

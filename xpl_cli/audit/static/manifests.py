@@ -46,7 +46,7 @@ def key_line(source: Source, name: str, key: str) -> int:
     return next((number for number, text in enumerate(lines, start=1) if re.match(rf"{re.escape(key)}\s*:", text)), 1)
 
 
-def place_in(source: Source, name: str, path: Sequence[str | int]) -> Location:
+def location_in(source: Source, name: str, path: Sequence[str | int]) -> Location:
     """Return where a value of a YAML file stands, for a `Finding`: file, and 1-based line and column."""
     from xpl_cli.standard.validate import mark_of
 
@@ -59,17 +59,17 @@ def place_in(source: Source, name: str, path: Sequence[str | int]) -> Location:
     }
 
 
-def renamed(source: Source, name: str, key: str) -> Fix:
+def rename_fix(source: Source, name: str, key: str) -> Fix:
     """Return the fix that gives a top-level key of a YAML file the name of the package's folder."""
     import json
 
     import yaml
 
-    wanted = source.path.name
+    folder_name = source.path.name
     text = (
-        wanted
-        if re.fullmatch(r"[A-Za-z_]\w*", wanted) and isinstance(spec.parse_yaml(wanted), str)
-        else json.dumps(wanted)
+        folder_name
+        if re.fullmatch(r"[A-Za-z_]\w*", folder_name) and isinstance(spec.parse_yaml(folder_name), str)
+        else json.dumps(folder_name)
     )
     values = [value for _, value in _pairs(source.yaml_root(name), key) if isinstance(value, yaml.ScalarNode)]
     edits = tuple(
@@ -79,25 +79,25 @@ def renamed(source: Source, name: str, key: str) -> Fix:
     return Fix("safe_edit", f"{key}: {text}", edits)
 
 
-def deleted(source: Source, name: str, keys: Collection[str]) -> Iterator[Edit]:
+def delete_edits(source: Source, name: str, keys: Collection[str]) -> Iterator[Edit]:
     """Yield the edits that delete top-level keys of a YAML file, with the whole lines that these take."""
     lines = len(source.text(name).split("\n"))
-    for given, value in _pairs(source.yaml_root(name), *keys):
+    for key, value in _pairs(source.yaml_root(name), *keys):
         last = max(_lines(value))
         if last + 2 <= lines:
-            yield Edit(name, given.start_mark.line + 1, 1, last + 2, 1, "")
+            yield Edit(name, key.start_mark.line + 1, 1, last + 2, 1, "")
         else:  # the last line of a file that does not end in a line break
             end = value.end_mark
-            yield Edit(name, given.start_mark.line + 1, 1, end.line + 1, end.column + 1, "")
+            yield Edit(name, key.start_mark.line + 1, 1, end.line + 1, end.column + 1, "")
 
 
 def _pairs(root: yaml.Node | None, *keys: str) -> list[tuple[yaml.Node, yaml.Node]]:
     """Return the entries of a map that have one of these keys."""
     import yaml
 
-    wanted = frozenset(keys)
+    key_set = frozenset(keys)
     pairs = root.value if isinstance(root, yaml.MappingNode) else []
-    return [(given, value) for given, value in pairs if isinstance(given, yaml.ScalarNode) and given.value in wanted]
+    return [(given, value) for given, value in pairs if isinstance(given, yaml.ScalarNode) and given.value in key_set]
 
 
 def _lines(node: yaml.Node) -> Iterator[int]:

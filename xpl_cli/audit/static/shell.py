@@ -21,7 +21,7 @@ _MOST_LEVELS: Final = 100
 _LONGEST_S: Final = 5.0
 """Seconds that the grammar, or bash, may take for one script: a thousand times what they do take."""
 _PIECE: Final = 32_768
-_SAID: Final = re.compile(r"line (\d+): (.+)")
+_ERROR_LINE: Final = re.compile(r"line (\d+): (.+)")
 _SETTERS: Final = frozenset(
     ("export", "local", "readonly", "declare", "typeset", "read", "mapfile", "readarray", "getopts")
 )
@@ -52,7 +52,7 @@ class Expansion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Word:
+class ShellWord:
     """One word as it is written, with its 1-based place and what the shell replaces in it by values of variables."""
 
     raw: str
@@ -68,18 +68,18 @@ class Word:
     @property
     def position(self) -> int | None:
         """N for `$N`, `${N}` and `${N:-default}`: the positional argument that the word takes."""
-        found = _POSITION.fullmatch(self.raw)
-        return int(found.group(1) or found.group(2)) if found else None
+        match = _POSITION.fullmatch(self.raw)
+        return int(match.group(1) or match.group(2)) if match else None
 
     @property
     def variable(self) -> str | None:
         """`name` for `$name`, `${name}` and `${name:-default}`."""
-        found = re.fullmatch(r"\$\{?([A-Za-z_]\w*)(?::?[-=?+].*)?\}?", self.text, re.DOTALL)
-        return found.group(1) if found else None
+        match = re.fullmatch(r"\$\{?([A-Za-z_]\w*)(?::?[-=?+].*)?\}?", self.text, re.DOTALL)
+        return match.group(1) if match else None
 
 
 @dataclass(frozen=True)
-class Command:
+class ShellCommand:
     """One simple command: its words, its assignments, and how deep in loops and functions it stands.
 
     Attributes:
@@ -90,9 +90,9 @@ class Command:
         end: the operator behind it, or behind a group whose last one it is: `&`, `&&`, `||` or `|`; "" for none.
     """
 
-    words: tuple[Word, ...]
-    assignments: tuple[tuple[str, Word], ...] = ()
-    arguments: tuple[Word, ...] = ()
+    words: tuple[ShellWord, ...]
+    assignments: tuple[tuple[str, ShellWord], ...] = ()
+    arguments: tuple[ShellWord, ...] = ()
     loops: int = 0
     functions: int = 0
     keywords: tuple[str, ...] = ()
@@ -104,49 +104,49 @@ class Command:
         return self.arguments[0].text.rpartition("/")[2] if self.arguments else ""
 
 
-class Script(list[Command]):
+class ShellScript(list[ShellCommand]):
     """The simple commands of a script, those of functions included and those of substitutions left out."""
 
     @cached_property
     def options(self) -> frozenset[str]:
         """What `set` turns on anywhere: `errexit`, `nounset`, `pipefail`."""
         letters = {"e": "errexit", "u": "nounset"}
-        found: set[str] = set()
+        options: set[str] = set()
         for command in self:
             words = [word.text for word in command.words[1:]] if command.name == "set" else []
-            for place, text in enumerate(words):
+            for index, text in enumerate(words):
                 if text.startswith("-"):
-                    found |= {letters[letter] for letter in text[1:] if letter in letters}
-                    found |= {*words[place + 1 : place + 2]} if text.endswith("o") else set()
-        return frozenset(found)
+                    options |= {letters[letter] for letter in text[1:] if letter in letters}
+                    options |= {*words[index + 1 : index + 2]} if text.endswith("o") else set()
+        return frozenset(options)
 
     @cached_property
     def variables(self) -> frozenset[str]:
         """Every name that the script gives a value anywhere: by assignment, `for`, `read` and their like."""
-        found: set[str] = set()
+        names: set[str] = set()
         for command in self:
-            found.update(name for name, _ in command.assignments)
+            names.update(name for name, _ in command.assignments)
             if command.name in _SETTERS:
-                found.update(re.split(r"[=\[]", word.text, maxsplit=1)[0] for word in command.arguments[1:])
+                names.update(re.split(r"[=\[]", word.text, maxsplit=1)[0] for word in command.arguments[1:])
             elif command.name == "printf" and len(command.arguments) > 2 and command.arguments[1].raw == "-v":
-                found.add(command.arguments[2].text)
+                names.add(command.arguments[2].text)
             for word in command.words:
-                found.update(item.name for item in word.expansions if item.guard == ":=")
-        return frozenset(found)
+                names.update(item.name for item in word.expansions if item.guard == ":=")
+        return frozenset(names)
 
     @cached_property
     def checked(self) -> frozenset[str]:
         """Every name for which the script says somewhere what happens if it is not set, or empty."""
-        found: set[str] = set()
+        names: set[str] = set()
         for command in self:
             for word in command.words:
                 if command.name in TESTS:
-                    found.update(item.name for item in word.expansions)
-                found.update(_GUARDED.findall(word.raw))
-        return frozenset(found)
+                    names.update(item.name for item in word.expansions)
+                names.update(_GUARDED.findall(word.raw))
+        return frozenset(names)
 
 
-def parse(script: str) -> Script:
+def parse(script: str) -> ShellScript:
     """Return the simple commands of a script. What is no shell is passed over.
 
     Raises:
@@ -155,12 +155,12 @@ def parse(script: str) -> Script:
     if len(script) > _MOST_CHARACTERS:
         raise TooMuchError(f"more than {_MOST_CHARACTERS} characters")
     source = script.encode(errors="surrogatepass")
-    reader = _Reader(source)
-    reader.read(_tree(source).root_node, _Place())
-    return Script(reader.found)
+    reader = _CommandCollector(source)
+    reader.collect(_parse_tree(source).root_node, _Context())
+    return ShellScript(reader.commands)
 
 
-def refused(script: str) -> tuple[int, str] | None:
+def bash_error(script: str) -> tuple[int, str] | None:
     """Return the line at which bash refuses a script, and what it says; None if it takes it.
 
     bash reads it and runs nothing of it. Patterns that a script turns on by `shopt -s extglob` are taken too.
@@ -172,10 +172,10 @@ def refused(script: str) -> tuple[int, str] | None:
     bash = shutil.which("bash")
     if bash is None:
         raise FileNotFoundError("bash is not installed")
-    said = ""
+    output = ""
     for options in ((), ("-O", "extglob")):
         try:
-            done = subprocess.run(
+            process = subprocess.run(
                 [bash, "--norc", *options, "-n"],
                 input=script.encode(errors="replace"),
                 capture_output=True,
@@ -185,14 +185,14 @@ def refused(script: str) -> tuple[int, str] | None:
             )
         except subprocess.TimeoutExpired:
             raise TooMuchError(f"bash is not done with it in {_LONGEST_S:.0f} s") from None
-        if done.returncode == 0:
+        if process.returncode == 0:
             return None
-        said = said or done.stderr.decode(errors="replace")
-    found = _SAID.search(said)
-    return (int(found.group(1)), found.group(2)) if found else (1, said.strip() or "bash ends with an error")
+        output = output or process.stderr.decode(errors="replace")
+    match = _ERROR_LINE.search(output)
+    return (int(match.group(1)), match.group(2)) if match else (1, output.strip() or "bash ends with an error")
 
 
-def _tree(source: bytes) -> Tree:
+def _parse_tree(source: bytes) -> Tree:
     """Return the syntax tree of a script, in UTF-8; what takes longer than a script of a person is given up."""
     import tree_sitter_bash
     from tree_sitter import Language, Parser
@@ -208,7 +208,7 @@ def _tree(source: bytes) -> Tree:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Context:
     """Where a command stands."""
 
     loops: int = 0
@@ -216,11 +216,11 @@ class _Place:
     levels: int = 0
     keywords: tuple[str, ...] = ()
 
-    def below(self, *keywords: str, loops: int = 0, functions: int = 0) -> _Place:
-        return _Place(self.loops + loops, self.functions + functions, self.levels + 1, keywords)
+    def nested(self, *keywords: str, loops: int = 0, functions: int = 0) -> _Context:
+        return _Context(self.loops + loops, self.functions + functions, self.levels + 1, keywords)
 
 
-class _Reader:
+class _CommandCollector:
     """Goes through the syntax tree of a script, and collects its simple commands.
 
     Args:
@@ -229,80 +229,84 @@ class _Reader:
 
     def __init__(self, source: bytes) -> None:
         self.source = source
-        self.found: list[Command] = []
+        self.commands: list[ShellCommand] = []
         self._lines = source.split(b"\n")
 
-    def read(self, node: Node, place: _Place) -> None:
+    def collect(self, node: Node, context: _Context) -> None:
         """Collect the commands of a node, and note what ends each."""
-        if place.levels > _MOST_LEVELS:
+        if context.levels > _MOST_LEVELS:
             raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
         kind = node.type
         if kind in _SIMPLE:
-            self._add([child for child in node.children if child.type not in _REDIRECTS], place)
+            self._collect_command([child for child in node.children if child.type not in _REDIRECTS], context)
         elif kind in {"variable_assignment", "variable_assignments"}:
-            self._add([node] if kind == "variable_assignment" else node.named_children, place)
+            self._collect_command([node] if kind == "variable_assignment" else node.named_children, context)
         elif kind == "test_command":
-            self._add([node.children[0], *_operands(node)], place)
+            self._collect_command([node.children[0], *_operands(node)], context)
         elif kind == "compound_statement" and node.children[0].type == "((":
-            self._arithmetic(node, place)
+            self._collect_arithmetic(node, context)
         elif kind == "function_definition":
-            self._all(node.children, place.below(functions=1))
+            self._collect_all(node.children, context.nested(functions=1))
         elif kind in {"for_statement", "c_style_for_statement", "select_statement"}:
-            self._for(node, place)
+            self._collect_for(node, context)
         elif kind in _CONDITIONS:
-            self._condition(node, place)
+            self._collect_condition(node, context)
         elif kind not in _SUBSTITUTES and kind not in _REDIRECTS - {"heredoc_redirect"}:
-            more = place.keywords if kind in {"list", "pipeline", "redirected_statement"} else ()
+            more = context.keywords if kind in {"list", "pipeline", "redirected_statement"} else ()
             more += (_BLOCKS[kind],) if kind in _BLOCKS else ("!",) if kind == "negated_command" else ()
-            before = place.keywords if kind == "negated_command" else ()
-            self._all(node.children, place.below(*before, *more))
+            before = context.keywords if kind == "negated_command" else ()
+            self._collect_all(node.children, context.nested(*before, *more))
 
-    def _all(self, nodes: list[Node], place: _Place) -> None:
+    def _collect_all(self, nodes: list[Node], context: _Context) -> None:
         """Collect what these nodes hold; keywords count for the first of them alone."""
         for child in nodes:
             if child.type in _OPERATORS:
-                self._end(_OPERATORS[child.type])
+                self._set_end(_OPERATORS[child.type])
             elif child.is_named and child.type != "comment":
-                before = len(self.found)
-                self.read(child, place)
-                if len(self.found) > before:
-                    place = replace(place, keywords=())
+                before = len(self.commands)
+                self.collect(child, context)
+                if len(self.commands) > before:
+                    context = replace(context, keywords=())
 
-    def _end(self, operator: str) -> None:
-        if self.found:
-            self.found[-1] = replace(self.found[-1], end=operator)
+    def _set_end(self, operator: str) -> None:
+        if self.commands:
+            self.commands[-1] = replace(self.commands[-1], end=operator)
 
-    def _condition(self, node: Node, place: _Place) -> None:
+    def _collect_condition(self, node: Node, context: _Context) -> None:
         """Collect an `if` or a `while`: all of its condition is asked, what follows is done."""
         keyword = node.children[0].type
         loops = int(node.type == "while_statement")
-        asked = next((at for at, child in enumerate(node.children) if child.type in {"then", "do_group"}), 0)
-        for child in node.children[1:asked]:
-            self._all([child], place.below(keyword, loops=loops))
-        self._all(node.children[asked:], place.below(*(() if loops else ("then",)), loops=loops))
+        body_start = next((at for at, child in enumerate(node.children) if child.type in {"then", "do_group"}), 0)
+        for child in node.children[1:body_start]:
+            self._collect_all([child], context.nested(keyword, loops=loops))
+        self._collect_all(node.children[body_start:], context.nested(*(() if loops else ("then",)), loops=loops))
 
-    def _arithmetic(self, node: Node, place: _Place) -> None:
+    def _collect_arithmetic(self, node: Node, context: _Context) -> None:
         """Collect `((...))`: a test that may give each of its names a value."""
         words = (self._word(node.children[0]), *map(self._word, node.named_children))
-        given = tuple((self._text(name), self._word(name)) for name in _below(node, "variable_name"))
-        self._append(Command(words, given, words, place.loops, place.functions, place.keywords))
+        assignments = tuple(
+            (self._text(name), self._word(name)) for name in _descendants_of_type(node, "variable_name")
+        )
+        self._append(ShellCommand(words, assignments, words, context.loops, context.functions, context.keywords))
 
-    def _for(self, node: Node, place: _Place) -> None:
+    def _collect_for(self, node: Node, context: _Context) -> None:
         body = next((child for child in node.children if child.type in {"do_group", "compound_statement"}), None)
         head = [child for child in node.named_children if child != body]
         if node.type == "c_style_for_statement":
-            names = [one for child in head for one in _below(child, "variable_name")]
+            names = [one for child in head for one in _descendants_of_type(child, "variable_name")]
         else:
             names = head[:1]
-        given = tuple((self._text(name), self._word(name)) for name in names)
-        self._append(Command(tuple(map(self._word, head)), given, (), place.loops, place.functions, ("for",)))
+        assignments = tuple((self._text(name), self._word(name)) for name in names)
+        self._append(
+            ShellCommand(tuple(map(self._word, head)), assignments, (), context.loops, context.functions, ("for",))
+        )
         if body is not None:
-            self._all(body.children, place.below("do", loops=1))
+            self._collect_all(body.children, context.nested("do", loops=1))
 
-    def _add(self, parts: list[Node], place: _Place) -> None:
+    def _collect_command(self, parts: list[Node], context: _Context) -> None:
         """Collect a simple command that consists of these nodes."""
         words = tuple(map(self._word, parts))
-        assigned: list[tuple[str, Word]] = []
+        assigned: list[tuple[str, ShellWord]] = []
         leading = 0
         for at, part in enumerate(parts):
             if part.type != "variable_assignment":
@@ -312,19 +316,21 @@ class _Reader:
             name, value = part.child_by_field_name("name"), part.child_by_field_name("value")
             if part.type == "variable_assignment" and name is not None:
                 assigned.append((self._text(name), self._empty(part) if value is None else self._word(value)))
-        self._append(Command(words, tuple(assigned), words[leading:], place.loops, place.functions, place.keywords))
+        self._append(
+            ShellCommand(words, tuple(assigned), words[leading:], context.loops, context.functions, context.keywords)
+        )
 
-    def _append(self, command: Command) -> None:
+    def _append(self, command: ShellCommand) -> None:
         if command.words:
-            self.found.append(command)
+            self.commands.append(command)
 
-    def _word(self, node: Node) -> Word:
+    def _word(self, node: Node) -> ShellWord:
         line, column = node.start_point
-        return Word(self._text(node), line + 1, self._column(line, column), tuple(_expansions(node)))
+        return ShellWord(self._text(node), line + 1, self._column(line, column), tuple(_expansions(node)))
 
-    def _empty(self, assignment: Node) -> Word:
+    def _empty(self, assignment: Node) -> ShellWord:
         line, column = assignment.end_point
-        return Word("", line + 1, self._column(line, column))
+        return ShellWord("", line + 1, self._column(line, column))
 
     def _column(self, line: int, offset: int) -> int:
         """Turn an offset in bytes into a column."""
@@ -344,7 +350,7 @@ def _operands(node: Node) -> Iterator[Node]:
             yield child
 
 
-def _below(node: Node, *kinds: str) -> Iterator[Node]:
+def _descendants_of_type(node: Node, *kinds: str) -> Iterator[Node]:
     """Yield the nodes of some kinds in a node."""
     waiting = [node]
     while waiting:
@@ -356,7 +362,7 @@ def _below(node: Node, *kinds: str) -> Iterator[Node]:
 
 def _expansions(node: Node) -> Iterator[Expansion]:
     """Yield the expansions of a word, those inside of substitutions too."""
-    for entry in _below(node, *_EXPANDS):
-        found = _NAME.match((entry.text or b"").decode(errors="replace"))
-        if found is not None:
-            yield Expansion(found.group(1) or found.group(3), found.group(2) or "")
+    for entry in _descendants_of_type(node, *_EXPANDS):
+        match = _NAME.match((entry.text or b"").decode(errors="replace"))
+        if match is not None:
+            yield Expansion(match.group(1) or match.group(3), match.group(2) or "")

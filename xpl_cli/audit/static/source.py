@@ -17,11 +17,11 @@ from xpl import _spec as sdk
 from xpl import variants
 from xpl.manifest import Manifest
 from xpl_cli.audit.rules.model import Location, NotRun
-from xpl_cli.audit.static import imports, reading
+from xpl_cli.audit.static import file_reading, imports
+from xpl_cli.audit.static.file_reading import SIZE_LIMIT
 from xpl_cli.audit.static.function import Function, Symbols
-from xpl_cli.audit.static.limits import MOST_PYTHON, MOST_TEXT, TooMuchError, measured
-from xpl_cli.audit.static.reading import SIZE_LIMIT
-from xpl_cli.audit.static.shell import Script, parse
+from xpl_cli.audit.static.limits import MOST_PYTHON, MOST_TEXT, TooMuchError, bounded_nodes
+from xpl_cli.audit.static.shell import ShellScript, parse
 from xpl_cli.standard import unknown
 
 if TYPE_CHECKING:
@@ -56,13 +56,13 @@ class Source:
 
     path: Path
     variant: str | None = None
-    _read: dict[str, reading.Text] = field(default_factory=dict)
+    _texts: dict[str, file_reading.FileText] = field(default_factory=dict)
     _yaml: dict[str, tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]] = field(default_factory=dict)
     _parsed: dict[str, tuple[ast.AST, ...] | Exception] = field(default_factory=dict)
     _python_left: int = MOST_PYTHON
     _text_left: int = MOST_TEXT
     _lines: dict[str, list[str]] = field(default_factory=dict)
-    _commands: dict[str, Script] = field(default_factory=dict)
+    _commands: dict[str, ShellScript] = field(default_factory=dict)
     _imports: dict[str, dict[str, str]] = field(default_factory=dict)
     _functions: dict[int, Function] = field(default_factory=dict)
     _defined: dict[str, tuple[Function, ...]] = field(default_factory=dict)
@@ -95,12 +95,12 @@ class Source:
     @cached_property
     def text_files(self) -> tuple[str, ...]:
         """The boundary's files that are text by their suffix and not too large."""
-        return tuple(name for name in self.files if reading.is_text(name) and self._size(name) <= SIZE_LIMIT)
+        return tuple(name for name in self.files if file_reading.is_text(name) and self._size(name) <= SIZE_LIMIT)
 
     @property
-    def seen(self) -> tuple[str, ...]:
+    def files_read(self) -> tuple[str, ...]:
         """Names of the files that were read so far."""
-        return tuple(self._read)
+        return tuple(self._texts)
 
     def has(self, name: str) -> bool:
         """Tell whether the folder holds a file of this name."""
@@ -136,8 +136,8 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it is too large.
         """
-        found = self._syntax(name)
-        return found if isinstance(found, Exception) else None
+        result = self._syntax(name)
+        return result if isinstance(result, Exception) else None
 
     def nodes(self, name: str) -> tuple[ast.AST, ...]:
         """Return everything in a Python file, the outermost first.
@@ -145,10 +145,10 @@ class Source:
         Raises:
             NotRun: if there is no such file, or it does not parse.
         """
-        found = self._syntax(name)
-        if isinstance(found, Exception):
-            raise NotRun(f"{name} does not parse: {found}")
-        return found
+        result = self._syntax(name)
+        if isinstance(result, Exception):
+            raise NotRun(f"{name} does not parse: {result}")
+        return result
 
     def _syntax(self, name: str) -> tuple[ast.AST, ...] | Exception:
         if name not in self._parsed:
@@ -161,7 +161,7 @@ class Source:
                 self._python_left -= len(text)
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore")  # an invalid escape is not ours to print
-                    self._parsed[name] = measured(ast.parse(text, filename=name))
+                    self._parsed[name] = bounded_nodes(ast.parse(text, filename=name))
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
                 self._parsed[name] = error.with_traceback(None)  # its frames hold the tree
         return self._parsed[name]
@@ -184,15 +184,15 @@ class Source:
             )
         return self._defined[name]
 
-    def whole(self) -> str:
+    def boundary_hash(self) -> str:
         """Return a hash of the boundary's files: what the static gate judges, documents too."""
-        return self._hashed(lambda _: True)
+        return self._hash_files_where(lambda _: True)
 
     def record(self) -> str:
         """Return a hash of those files that a package may act by: what gates that run it judge."""
-        return self._hashed(lambda name: not reading.is_document(name))
+        return self._hash_files_where(lambda name: not file_reading.is_document(name))
 
-    def _hashed(self, counts: Callable[[str], bool]) -> str:
+    def _hash_files_where(self, counts: Callable[[str], bool]) -> str:
         state = hashlib.sha256()
         with suppress(NotRun):
             for name in filter(counts, self.text_files):
@@ -227,7 +227,7 @@ class Source:
             NotRun: if there is no such file, or it cannot be read or is too large.
         """
         if name not in self._yaml:
-            self._yaml[name] = reading.parsed_yaml(self._file(name).content)
+            self._yaml[name] = file_reading.parse_yaml(self._file(name).content)
         return self._yaml[name][1]
 
     @cached_property
@@ -238,7 +238,7 @@ class Source:
             NotRun: if there is no such variant.
         """
         written = self.manifest_of(sdk.File.DEPLOY_YML)
-        return written if self.variant is None else variants.merge_patch(written, self._chosen[1])
+        return written if self.variant is None else variants.merge_patch(written, self._variant_documents[1])
 
     @cached_property
     def manifest(self) -> Manifest:
@@ -247,10 +247,10 @@ class Source:
         Raises:
             NotRun: if there is no such variant.
         """
-        return Manifest.parse(unknown.known(self._chosen[0]))
+        return Manifest.parse(unknown.known(self._variant_documents[0]))
 
     @cached_property
-    def _chosen(self) -> tuple[Entry, Entry]:
+    def _variant_documents(self) -> tuple[Entry, Entry]:
         """What policy.yml says of the variant, and what that changes in deploy.yml."""
         try:
             return variants.apply_variant(self.manifest_of(sdk.File.POLICY_YML), self.variant)
@@ -280,33 +280,33 @@ class Source:
 
     def reached(self, name: str) -> list[str]:
         """Return a Python file and the adapter's own files that it imports, those in subfolders only one step deep."""
-        found = [name] if self.has(name) else []
-        for file in found:
+        files = [name] if self.has(name) else []
+        for file in files:
             if "/" not in file:
-                found += [other for other in dict.fromkeys(self.imports(file).values()) if other not in found]
-        return found
+                files += [other for other in dict.fromkeys(self.imports(file).values()) if other not in files]
+        return files
 
     def imports(self, name: str) -> dict[str, str]:
         """Return the boundary's modules that a Python file imports: dotted name as written, to file."""
         if name not in self._imports:
-            self._imports[name] = imports.own(self._folder, name, self.nodes(name) if self.parses(name) else ())
+            self._imports[name] = imports.own_imports(self._folder, name, self.nodes(name) if self.parses(name) else ())
         return self._imports[name]
 
     def at(self, name: str, node: ast.AST) -> Location:
         """Return a node's place for a `Finding`."""
-        place = self.start(name, node)
+        location = self.start(name, node)
         end = getattr(node, "end_lineno", None)
         if end is not None:
-            place["end_line"] = end
-            place["end_column"] = self._column(name, end, getattr(node, "end_col_offset", 0))
-        return place
+            location["end_line"] = end
+            location["end_column"] = self._column(name, end, getattr(node, "end_col_offset", 0))
+        return location
 
     def start(self, name: str, node: ast.AST) -> Location:
         """Return where a node begins, for a `Finding` about something larger than a line."""
         line = getattr(node, "lineno", 1)
         return {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
 
-    def commands(self, name: str) -> Script:
+    def commands(self, name: str) -> ShellScript:
         """Return the commands of a shell script.
 
         Raises:
@@ -337,28 +337,30 @@ class Source:
     def _called_by(self, script: str) -> set[str]:
         """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
         values: dict[str, str] = {}
-        found: set[str] = set()
+        files: set[str] = set()
         try:
             commands = self.commands(script)
         except NotRun:
-            return found
+            return files
         for command in commands:
-            values.update({variable: _expanded(word.text, values) for variable, word in command.assignments})
+            values.update({variable: _expand_variables(word.text, values) for variable, word in command.assignments})
             for word in command.words:
-                for text in _PYTHON_FILE.findall(_expanded(word.raw, values)) if len(word.raw) <= _LONGEST_PATH else ():
+                for text in (
+                    _PYTHON_FILE.findall(_expand_variables(word.raw, values)) if len(word.raw) <= _LONGEST_PATH else ()
+                ):
                     parts = [part for part in text.split("/") if part not in {"", "."}][-_MOST_PARTS:]
-                    tails = ("/".join(parts[place:]) for place in range(len(parts)))
-                    ours = (reading.inside(self._folder, tail) for tail in tails)
-                    found.update({next(filter(None, ours), "")} - {""})
-        return found
+                    tails = ("/".join(parts[index:]) for index in range(len(parts)))
+                    ours = (file_reading.resolve_inside(self._folder, tail) for tail in tails)
+                    files.update({next(filter(None, ours), "")} - {""})
+        return files
 
-    def _file(self, name: str) -> reading.Text:
-        if name not in self._read:
+    def _file(self, name: str) -> file_reading.FileText:
+        if name not in self._texts:
             if self._text_left < self._size(name) <= SIZE_LIMIT:  # a larger file is not read at all
                 raise NotRun(f"the files of the package hold more than {MOST_TEXT} bytes of text together")
-            self._read[name] = reading.text(self._folder, name)
-            self._text_left -= len(self._read[name].content)
-        return self._read[name]
+            self._texts[name] = file_reading.read_text(self._folder, name)
+            self._text_left -= len(self._texts[name].content)
+        return self._texts[name]
 
     @cached_property
     def _folder(self) -> Path:
@@ -371,10 +373,10 @@ class Source:
             return 0
 
 
-def _expanded(text: str, values: dict[str, str]) -> str:
+def _expand_variables(text: str, values: dict[str, str]) -> str:
     """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
     if len(text) > _LONGEST_PATH:
         return ""
     text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)
-    told = re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
-    return told if len(told) <= _LONGEST_PATH else ""  # variables of variables double with each line
+    expanded = re.sub(r"\$\{?(\w+)(?::?[-=][^}]*)?\}?", lambda found: values.get(found.group(1), ""), text)
+    return expanded if len(expanded) <= _LONGEST_PATH else ""  # variables of variables double with each line

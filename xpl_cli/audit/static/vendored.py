@@ -22,9 +22,9 @@ _DATA: Final = frozenset(("checkpoints", "data", "datasets", "node_modules", "ou
 
 def texts(source: Source) -> Iterator[tuple[str, str]]:
     """Yield the text files in subfolders that are not part of the boundary, by name; links are not followed."""
-    known = set(source.files)
+    own_files = set(source.files)
     for name in _names(source):
-        if name not in known:
+        if name not in own_files:
             with suppress(NotRun):
                 yield name, source.text(name)
 
@@ -32,10 +32,10 @@ def texts(source: Source) -> Iterator[tuple[str, str]]:
 def _names(source: Source) -> tuple[str, ...]:
     """Return the names of those files, sorted; of a package that holds too many only the first."""
     if texts not in source.views:
-        found: list[str] = []
+        paths: list[str] = []
         for folder, inner, files in os.walk(source.path):
-            place = os.path.relpath(folder, source.path).replace(os.sep, "/")
-            is_top = place == "."
+            relative = os.path.relpath(folder, source.path).replace(os.sep, "/")
+            is_top = relative == "."
             inner[:] = sorted(
                 name for name in inner if not name.startswith((".", "__")) and not (is_top and name in _DATA)
             )
@@ -43,9 +43,9 @@ def _names(source: Source) -> tuple[str, ...]:
                 whole = os.path.join(folder, name)  # noqa: PTH118 - a Path for each of thousands of files takes longer
                 with suppress(OSError):
                     if name.endswith(_SUFFIXES) and not os.path.islink(whole) and os.path.getsize(whole) <= _LARGEST:  # noqa: PTH114, PTH202
-                        found.append(f"{place}/{name}")
-            if len(found) > _MOST_FILES:
+                        paths.append(f"{relative}/{name}")
+            if len(paths) > _MOST_FILES:
                 break
-        source.views[texts] = tuple(found[:_MOST_FILES])
+        source.views[texts] = tuple(paths[:_MOST_FILES])
     names: tuple[str, ...] = source.views[texts]
     return names

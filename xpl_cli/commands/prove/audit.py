@@ -21,7 +21,7 @@ from xpl_cli.commands.options import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from xpl_cli.packages.targets import Target
+    from xpl_cli.packages.targets import AuditTarget
 
 _GATES = ("static", "offline", "mujoco")
 _FAIL_ON = ("fail", "warn")
@@ -207,7 +207,7 @@ def audit(
     raise typer.Exit(int(exit_code(reports, Outcome(fail_on))))
 
 
-def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:
+def _check_demos(demos: Path | None, targets: Sequence[AuditTarget]) -> None:
     """Refuse demonstrations, if some were named, that are not there, or of which nobody could say whose they are.
 
     Raises:
@@ -226,7 +226,7 @@ def _check_demos(demos: Path | None, targets: Sequence[Target]) -> None:
 
 def _targets(
     paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool, demos: Path | None
-) -> list[Target]:
+) -> list[AuditTarget]:
     """Return the packages that are audited: all that were asked for, or those of them that changed since a commit.
 
     Waivers of them that name a retired rule are told of in a note.
@@ -234,9 +234,9 @@ def _targets(
     from xpl_cli.audit.engine import waivers
     from xpl_cli.audit.static.source import Source
     from xpl_cli.basics import console
-    from xpl_cli.packages.targets import asked
+    from xpl_cli.packages.targets import requested_targets
 
-    targets = asked(paths, every=every)
+    targets = requested_targets(paths, every=every)
     _check_demos(demos, targets)
     if changed_since is not None:
         from xpl_cli.audit.engine.changed import select_changed

@@ -38,16 +38,16 @@ def outcome_of(result: Result) -> EpisodeOutcome:
 
     Without a success criterion (success None) there is no failure either.
     """
-    ending = _ending_of(result)
-    if ending.end_reason == INFRASTRUCTURE:
-        return replace(ending, **_INFRASTRUCTURE_ENDING, error=str(result.get("error") or "the environment was lost"))
-    if ending.success or ending.success is None:
-        return ending
-    if ending.end_reason is None:
+    outcome = _ending_of(result)
+    if outcome.end_reason == INFRASTRUCTURE:
+        return replace(outcome, **_INFRASTRUCTURE_ENDING, error=str(result.get("error") or "the environment was lost"))
+    if outcome.success or outcome.success is None:
+        return outcome
+    if outcome.end_reason is None:
         return policy_error(result, _UNFINISHED)
-    if ending.end_reason in _GUARDED:
-        return replace(ending, failure=POLICY, error=f"a guard ended the episode: {ending.end_reason}")
-    return replace(ending, failure=TASK)
+    if outcome.end_reason in _GUARDED:
+        return replace(outcome, failure=POLICY, error=f"a guard ended the episode: {outcome.end_reason}")
+    return replace(outcome, failure=TASK)
 
 
 def policy_error(result: Result, reason: str) -> EpisodeOutcome:
@@ -63,24 +63,24 @@ def policy_crash(result: Result, reason: str) -> EpisodeOutcome:
     return replace(policy_error(result, reason), end_reason=POLICY_DIED)
 
 
-def may_retry(ending: EpisodeOutcome) -> bool:
+def may_retry(outcome: EpisodeOutcome) -> bool:
     """Return whether another attempt may follow this outcome."""
-    return ending.failure == INFRASTRUCTURE or (ending.failure == POLICY and ending.end_reason == POLICY_DIED)
+    return outcome.failure == INFRASTRUCTURE or (outcome.failure == POLICY and outcome.end_reason == POLICY_DIED)
 
 
-def contradiction(ending: EpisodeRecord) -> str | None:
+def contradiction(outcome: EpisodeRecord) -> str | None:
     """Return in what an episode contradicts itself about success, or None."""
-    if ending.success is False:
-        return "did not succeed, but ended with success" if ending.end_reason == SUCCESS else None
-    if not ending.success:
+    if outcome.success is False:
+        return "did not succeed, but ended with success" if outcome.end_reason == SUCCESS else None
+    if not outcome.success:
         return None
     against = {
-        f"with a failure of the class {ending.failure}": ending.failure is not None,
-        f"but ended with {ending.end_reason or 'nothing'}": ending.end_reason in _NO_SUCCESS,
-        "with a score of 0": ending.score == 0,
-        "but reached no stage": ending.stages and not any(ending.stages.values()),
-        "after 0 steps": ending.steps == 0,
-        "without a request to the policy": ending.inference is not None and ending.inference.count == 0,
+        f"with a failure of the class {outcome.failure}": outcome.failure is not None,
+        f"but ended with {outcome.end_reason or 'nothing'}": outcome.end_reason in _NO_SUCCESS,
+        "with a score of 0": outcome.score == 0,
+        "but reached no stage": outcome.stages and not any(outcome.stages.values()),
+        "after 0 steps": outcome.steps == 0,
+        "without a request to the policy": outcome.inference is not None and outcome.inference.count == 0,
     }
     problem = next((text for text, holds in against.items() if holds), None)
     return None if problem is None else f"succeeded, {problem}"

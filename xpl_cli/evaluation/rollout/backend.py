@@ -60,8 +60,8 @@ class RolloutResult:
 
     Attributes:
         job: the job.
-        ending: how it ended.
-        conduct: when it ran, for how long, and on which worker.
+        outcome: how it ended.
+        execution: when it ran, for how long, and on which worker.
         facts: of the machine; empty if unknown.
         trace: an .npz with its curves, or None.
         film: an animated WebP, or None.
@@ -69,8 +69,8 @@ class RolloutResult:
     """
 
     job: RolloutJob
-    ending: EpisodeOutcome
-    conduct: AttemptExecution
+    outcome: EpisodeOutcome
+    execution: AttemptExecution
     facts: Facts = field(default_factory=dict)
     trace: bytes | None = None
     film: bytes | None = None
@@ -99,5 +99,5 @@ class Backend(Protocol):
 
 def lost_rollout(job: RolloutJob, reason: str, worker: str | None = None, facts: Facts | None = None) -> RolloutResult:
     """Return the result of a job whose worker was lost."""
-    conduct = AttemptExecution(started=now(), wall_seconds=0.0, worker=worker)
-    return RolloutResult(job, infrastructure_error(reason), conduct, facts or {}, is_server_suspect=True)
+    execution = AttemptExecution(started=now(), wall_seconds=0.0, worker=worker)
+    return RolloutResult(job, infrastructure_error(reason), execution, facts or {}, is_server_suspect=True)

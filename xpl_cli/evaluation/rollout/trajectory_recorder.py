@@ -34,9 +34,9 @@ def file_name(index: int) -> str:
     return f"episode_{index:07d}.hdf5"
 
 
-def is_kept(ending: EpisodeOutcome, keep: str) -> bool:
+def is_kept(outcome: EpisodeOutcome, keep: str) -> bool:
     """Return whether an episode is to be saved."""
-    return ending.failure in (None, "task") and (keep == ALL or bool(ending.success))
+    return outcome.failure in (None, "task") and (keep == ALL or bool(outcome.success))
 
 
 @contextlib.contextmanager
@@ -75,11 +75,11 @@ class TrajectoryRecorder(TaskEnvWrapper):
         self._error: Exception | None = None
         self._writers: dict[int, trajectory.Writer] = {}
 
-    def keep(self, endings: Sequence[EpisodeOutcome]) -> None:
+    def keep(self, outcomes: Sequence[EpisodeOutcome]) -> None:
         """Commit the files of the episodes that are to be saved.
 
         Args:
-            endings: how each ended, in the order of the jobs.
+            outcomes: how each ended, in the order of the jobs.
 
         Raises:
             UserError: one could not be written.
@@ -87,10 +87,10 @@ class TrajectoryRecorder(TaskEnvWrapper):
         try:
             if self._error is not None:
                 raise self._error
-            for env, (job, ending) in enumerate(zip(self._jobs, endings, strict=True)):
+            for env, (job, outcome) in enumerate(zip(self._jobs, outcomes, strict=True)):
                 writer = self._writers.get(env)
-                if writer is not None and is_kept(ending, self._settings.keep):
-                    writer.episode = self._metadata(job, ending)
+                if writer is not None and is_kept(outcome, self._settings.keep):
+                    writer.episode = self._metadata(job, outcome)
                     del self._writers[env]
                     writer.commit()
         except (trajectory.TrajectoryError, ImportError) as error:
@@ -141,7 +141,7 @@ class TrajectoryRecorder(TaskEnvWrapper):
             privileged=recording.privileged,
         )
 
-    def _metadata(self, job: RolloutJob, ending: EpisodeOutcome) -> dict[str, Any]:
+    def _metadata(self, job: RolloutJob, outcome: EpisodeOutcome) -> dict[str, Any]:
         """Return the metadata of an episode: what ran with which policy, and how it ended."""
         config = self._config
         return {
@@ -154,11 +154,11 @@ class TrajectoryRecorder(TaskEnvWrapper):
             sdk.Deploy.ACTION_TYPE: config.settings.action_type,
             "policy": Path(config.policy).name,
             "policy_digest": config.policy_digest,
-            **{name: getattr(ending, name) for name in ("success", "score", "end_reason")},
+            **{name: getattr(outcome, name) for name in ("success", "score", "end_reason")},
             **{
                 name: value
                 for name in ("steps", "corrections", "digest")
-                if (value := getattr(ending, name)) is not None
+                if (value := getattr(outcome, name)) is not None
             },
             "recorded": now(),
             "writer": f"xpl {__version__}",

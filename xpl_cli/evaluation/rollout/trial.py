@@ -36,9 +36,9 @@ def describe_case(settings: EnvSettings) -> Payload:
     }
 
 
-def describe_outcome(endings: Sequence[EpisodeOutcome]) -> Payload:
+def describe_outcome(outcomes: Sequence[EpisodeOutcome]) -> Payload:
     """Return the outcome of a trial: of one episode as a map, of several as a list."""
-    results = [{name: getattr(ending, name) for name in _REPORTED} for ending in endings]
+    results = [{name: getattr(outcome, name) for name in _REPORTED} for outcome in outcomes]
     return results[0] if len(results) == 1 else {"results": results}
 
 
@@ -56,13 +56,13 @@ def begin(client: Client, case: Payload) -> None:
             raise
 
 
-def end(client: Client, endings: Sequence[EpisodeOutcome]) -> bool:
+def end(client: Client, outcomes: Sequence[EpisodeOutcome]) -> bool:
     """Report the outcome to the policy; return whether the connection can be used for the next trial.
 
     The result stands whatever the policy's hook does: its errors are printed.
     """
     try:
-        client.trial_end(describe_outcome(endings))
+        client.trial_end(describe_outcome(outcomes))
     except PolicyServerError as error:
         if error.code not in _UNKNOWN:
             console.note(f"the policy's on_trial_end failed: {error}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.static.shell import TESTS, Command, Script, Word
+from xpl_cli.audit.static.shell import TESTS, ShellCommand, ShellScript, ShellWord
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -24,22 +24,22 @@ _TESTS: Final = re.compile(r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s")
 _TESTED: Final = r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s+[\"']?\$\{{?{}\b"
 _LISTED: Final = re.compile(r"\bfor\s+(?P<item>\w+)\s+in\b|^\s*(?:local\s+|declare -a\s+)?(?P<array>\w+)\+?=\(")
 _LONGEST_LIST: Final = 30
-_TALK: Final = TESTS | {"echo", "printf", ":"}
+_PRINTS: Final = TESTS | {"echo", "printf", ":"}
 
 
-def scripts(source: Source) -> Iterator[tuple[str, Script]]:
+def scripts(source: Source) -> Iterator[tuple[str, ShellScript]]:
     """Yield the shell scripts of the adapter's own folder with their commands."""
     for name in source.text_files:
         if name.endswith(".sh") and "/" not in name:
             yield name, source.commands(name)
 
 
-def place(name: str, word: Word) -> Location:
+def word_location(name: str, word: ShellWord) -> Location:
     """Return where a word stands, for a `Finding`."""
     return {"path": name, "line": word.line, "column": word.column}
 
 
-def runs(command: Command) -> tuple[Word, ...]:
+def executed_words(command: ShellCommand) -> tuple[ShellWord, ...]:
     """Return the program that a command runs in the end, with its arguments: no `exec`, no `env NAME=value`."""
     words = command.arguments
     while words and words[0].text.rpartition("/")[2] in _WRAPPERS:
@@ -49,30 +49,30 @@ def runs(command: Command) -> tuple[Word, ...]:
     return words
 
 
-def program(command: Command) -> str:
+def program(command: ShellCommand) -> str:
     """Return the name of the program that a command runs in the end; "" where a variable holds it."""
-    words = runs(command)
+    words = executed_words(command)
     return "" if not words or "$" in words[0].raw else words[0].text.rpartition("/")[2]
 
 
-def shown(words: tuple[Word, ...], limit: int = 6) -> str:
+def quote_command(words: tuple[ShellWord, ...], limit: int = 6) -> str:
     """Return the beginning of a command, to be quoted in a finding."""
     text = " ".join(word.raw for word in words[:limit])
     return (text if len(text) <= 80 else f"{text[:77]}...") + (" ..." if len(words) > limit else "")
 
 
-def talks(command: Command) -> bool:
+def only_prints(command: ShellCommand) -> bool:
     """Tell whether a command only prints or tests, so that what it is given decides nothing else."""
-    return command.name in _TALK
+    return command.name in _PRINTS
 
 
-def may_be_empty(name: str, script: Script) -> bool:
+def may_be_empty(name: str, script: ShellScript) -> bool:
     """Tell whether a variable that a script expands without a guard may hold nothing there.
 
     That is so if its value comes, unchecked, from an argument or from the environment, by an empty default, or from a
     folder that need not exist.
     """
-    if name in _tested(script):
+    if name in _tested_variables(script):
         return False
     if name not in script.variables:
         return not name.isupper() or "nounset" not in script.options
@@ -88,13 +88,13 @@ def may_be_empty(name: str, script: Script) -> bool:
     return False
 
 
-def _tested(script: Script) -> set[str]:
+def _tested_variables(script: ShellScript) -> set[str]:
     """Return the variables that the script asks to hold something."""
-    found: set[str] = set()
+    names: set[str] = set()
     for command in script:
         for word in command.words:
-            found.update(item.name for item in word.expansions if command.name in TESTS or "?" in item.guard)
-    return found
+            names.update(item.name for item in word.expansions if command.name in TESTS or "?" in item.guard)
+    return names
 
 
 def sourced_by(source: Source, name: str) -> list[str]:
@@ -102,24 +102,24 @@ def sourced_by(source: Source, name: str) -> list[str]:
     return [
         other
         for other, commands in scripts(source)
-        if other != name and any(_sources(command, name) for command in commands)
+        if other != name and any(_is_source_of(command, name) for command in commands)
     ]
 
 
-def sources(source: Source, commands: Script) -> Iterator[tuple[int, Script]]:
+def sources(source: Source, commands: ShellScript) -> Iterator[tuple[int, ShellScript]]:
     """Yield the scripts of the adapter that a script reads into its own shell, and before which command."""
     for number, command in enumerate(commands):
         for name in source.text_files if command.name in {"source", "."} else ():
-            if name.endswith(".sh") and "/" not in name and _sources(command, name):
+            if name.endswith(".sh") and "/" not in name and _is_source_of(command, name):
                 yield number, source.commands(name)
 
 
-def _sources(command: Command, name: str) -> bool:
+def _is_source_of(command: ShellCommand, name: str) -> bool:
     words = command.arguments
     return command.name in {"source", "."} and len(words) > 1 and words[1].text.rpartition("/")[2] == name
 
 
-def is_tried(text: str, line: int) -> bool:
+def is_candidate(text: str, line: int) -> bool:
     """Tell whether a path in a line of a script is a candidate only: taken if a test finds it there.
 
     Args:

@@ -32,7 +32,7 @@ _SELECTED: Final = (
     "S301",  # unpickling
     "S506",  # loading YAML that can construct objects
 )
-_LEFT_OUT: Final = (
+_IGNORED: Final = (
     "F403",  # star imports: XPL107 tells what they cost
     "F405",
     "F541",  # an f-string without a value does what it says
@@ -43,7 +43,7 @@ _LEFT_OUT: Final = (
 )
 _RUFF: Final = (
     *("check", "--isolated", "--no-cache", "--no-fix", "--exit-zero", "--output-format", "json"),
-    *("--select", ",".join(_SELECTED), "--ignore", ",".join(_LEFT_OUT)),
+    *("--select", ",".join(_SELECTED), "--ignore", ",".join(_IGNORED)),
 )
 _MYPY: Final = (
     *("--config-file=", "--no-incremental", f"--cache-dir={os.devnull}", "--no-site-packages"),
@@ -59,7 +59,7 @@ _PATIENCE: Final = 90.0
 
 
 @dataclass(frozen=True)
-class Remark:
+class ToolMessage:
     """One thing that a tool says.
 
     Attributes:
@@ -96,48 +96,48 @@ class Remark:
         )
 
 
-def ruff(source: Source) -> tuple[Remark, ...]:
+def ruff(source: Source) -> tuple[ToolMessage, ...]:
     """Return what ruff says, in order of place.
 
     Raises:
         NotRun: if it does not answer.
         NotApplicable: if no Python file of the adapter parses.
     """
-    with _copied(source) as (folder, names):
-        told = _answer("ruff", [*_RUFF, "--", *names], folder)
+    with _copy_python_files(source) as (folder, names):
+        output = _run_tool("ruff", [*_RUFF, "--", *names], folder)
         try:
-            return _sorted(_of_ruff(entry, folder) for entry in json_text.parse(told) if entry["code"])
+            return _sorted(_parse_ruff(entry, folder) for entry in json_text.parse(output) if entry["code"])
         except (ValueError, KeyError, TypeError) as error:
             raise NotRun(f"ruff answers in a form that is not known here: {error}") from None
 
 
-def mypy(source: Source) -> tuple[Remark, ...]:
+def mypy(source: Source) -> tuple[ToolMessage, ...]:
     """Return what mypy says, in order of place. Untyped functions are looked into; other packages count as untyped.
 
     Raises:
         NotRun: if it does not answer.
         NotApplicable: if no Python file of the adapter parses.
     """
-    with _copied(source) as (folder, names):
+    with _copy_python_files(source) as (folder, names):
         package = folder.name  # relative imports need one
         files = {f"{package}/{name}": name for name in names}
-        told = _answer("mypy", [*_MYPY, "--", *files], folder.parent)
+        output = _run_tool("mypy", [*_MYPY, "--", *files], folder.parent)
         try:
-            entries = [json_text.parse(line) for line in told.splitlines() if line.strip()]
-            known = (entry for entry in entries if entry["severity"] == "error" and entry["file"] in files)
-            return _sorted(_of_mypy(entry, files[entry["file"]]) for entry in known)
+            entries = [json_text.parse(line) for line in output.splitlines() if line.strip()]
+            errors = (entry for entry in entries if entry["severity"] == "error" and entry["file"] in files)
+            return _sorted(_parse_mypy(entry, files[entry["file"]]) for entry in errors)
         except (ValueError, KeyError, TypeError) as error:
             raise NotRun(f"mypy answers in a form that is not known here: {error}") from None
 
 
 @contextmanager
-def _copied(source: Source) -> Iterator[tuple[Path, list[str]]]:
+def _copy_python_files(source: Source) -> Iterator[tuple[Path, list[str]]]:
     """Copy the boundary's Python files that parse; give the copy's folder and their names."""
     names = [name for name in source.python_files if source.parses(name)]
     if not names:
         raise NotApplicable("no Python file of the adapter parses")
-    with tempfile.TemporaryDirectory(prefix="xpl-advice-") as made:
-        folder = Path(made).resolve() / "boundary"
+    with tempfile.TemporaryDirectory(prefix="xpl-advice-") as temporary:
+        folder = Path(temporary).resolve() / "boundary"
         for name in names:
             file = folder / name
             file.parent.mkdir(parents=True, exist_ok=True)
@@ -145,7 +145,7 @@ def _copied(source: Source) -> Iterator[tuple[Path, list[str]]]:
         yield folder, names
 
 
-def _answer(tool: str, arguments: list[str], folder: Path) -> str:
+def _run_tool(tool: str, arguments: list[str], folder: Path) -> str:
     """Run a tool and return its output.
 
     Raises:
@@ -155,7 +155,7 @@ def _answer(tool: str, arguments: list[str], folder: Path) -> str:
     if tool == "mypy":
         variables["MYPYPATH"] = str(_sdk(folder / "sdk"))
     try:
-        done = subprocess.run(
+        process = subprocess.run(
             # The one that came with xpl, also where its scripts are not on PATH. -P: the copy holds the adapter's
             # files, and none of them may be imported for a module of the tool.
             [sys.executable, "-P", "-m", tool, *arguments],
@@ -174,10 +174,10 @@ def _answer(tool: str, arguments: list[str], folder: Path) -> str:
     except OSError as error:
         raise NotRun(f"{tool} cannot be started: {error}") from None
     # What Python itself cannot start ends with 1 as findings do, and prints nothing.
-    if done.returncode not in {0, 1} or (done.returncode and not done.stdout):
-        said = (done.stderr or done.stdout).strip().splitlines()
-        raise NotRun(f"{tool} fails: {said[-1] if said else f'exit code {done.returncode}'}")
-    return done.stdout
+    if process.returncode not in {0, 1} or (process.returncode and not process.stdout):
+        error_lines = (process.stderr or process.stdout).strip().splitlines()
+        raise NotRun(f"{tool} fails: {error_lines[-1] if error_lines else f'exit code {process.returncode}'}")
+    return process.stdout
 
 
 def _sdk(folder: Path) -> Path:
@@ -189,21 +189,23 @@ def _sdk(folder: Path) -> Path:
     return folder
 
 
-def _sorted(remarks: Iterator[Remark]) -> tuple[Remark, ...]:
-    return tuple(sorted(remarks, key=lambda one: (one.path, one.line, one.column, one.rule)))
+def _sorted(messages: Iterator[ToolMessage]) -> tuple[ToolMessage, ...]:
+    return tuple(sorted(messages, key=lambda one: (one.path, one.line, one.column, one.rule)))
 
 
-def _of_ruff(entry: Entry, folder: Path) -> Remark:
+def _parse_ruff(entry: Entry, folder: Path) -> ToolMessage:
     path = Path(entry["filename"]).resolve().relative_to(folder).as_posix()
     begin, end = entry["location"], entry["end_location"]
-    place = begin["row"], begin["column"], end["row"], end["column"]
-    return Remark("ruff", entry["code"], entry["message"], path, *place, _fix(entry["fix"], entry["code"], path))
+    position = begin["row"], begin["column"], end["row"], end["column"]
+    return ToolMessage(
+        "ruff", entry["code"], entry["message"], path, *position, _fix(entry["fix"], entry["code"], path)
+    )
 
 
-def _fix(offered: Entry | None, rule: str, path: str) -> Fix:
+def _fix(ruff_fix: Entry | None, rule: str, path: str) -> Fix:
     """Return ruff's own edit, as far as it calls it safe or unsafe, and not for display only."""
-    kind = {"safe": "safe_edit", "unsafe": "unsafe_edit"}.get(offered["applicability"]) if offered else None
-    if offered is None or kind is None:
+    kind = {"safe": "safe_edit", "unsafe": "unsafe_edit"}.get(ruff_fix["applicability"]) if ruff_fix else None
+    if ruff_fix is None or kind is None:
         return Fix("advice", f"`ruff rule {rule}` explains it")
     edits = tuple(
         Edit(
@@ -214,15 +216,15 @@ def _fix(offered: Entry | None, rule: str, path: str) -> Fix:
             edit["end_location"]["column"],
             edit["content"],
         )
-        for edit in offered["edits"]
+        for edit in ruff_fix["edits"]
     )
-    return Fix(kind, offered["message"] or f"what ruff offers for {rule}", edits)
+    return Fix(kind, ruff_fix["message"] or f"what ruff offers for {rule}", edits)
 
 
-def _of_mypy(entry: Entry, path: str) -> Remark:
+def _parse_mypy(entry: Entry, path: str) -> ToolMessage:
     line, column = int(entry["line"]), int(entry["column"]) + 1
     hint = entry.get("hint") or "say what the value is by an annotation or a check, or correct it"
-    return Remark(
+    return ToolMessage(
         tool="mypy",
         rule=str(entry["code"] or "error"),
         message=str(entry["message"]),

@@ -6,8 +6,8 @@ import ast
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.static.adapter import ACTING, OBSERVING, Adapter, origin
 from xpl_cli.audit.static.function import GROWING
+from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass, origin
 from xpl_cli.audit.static.syntax import called, constant, last, names, parameters, self_attribute, targets
 
 if TYPE_CHECKING:
@@ -26,10 +26,10 @@ _READ: Final = ("XPolicyLab.", "xpl.")
 """Packages whose helpers take observations apart, and leave the instruction to the adapter."""
 
 
-def escapes(adapter: Adapter) -> bool:
+def escapes(adapter: ModelClass) -> bool:
     """Tell whether an observation, or an entry of a stored batch, is given to a function outside of the boundary."""
     functions = {id(function.node): function for function in adapter.reach(*OBSERVING, *ACTING)}
-    trail = _Trail(adapter, {key: set() for key in functions})
+    trail = _ObservationFlow(adapter, {key: set() for key in functions})
     for name in OBSERVING:
         function = adapter.method(name)
         if function is not None:
@@ -37,12 +37,12 @@ def escapes(adapter: Adapter) -> bool:
     before = -1
     while before != (before := len(trail.stored) + sum(map(len, trail.local.values()))):
         for function in functions.values():
-            trail.spread(function)
+            trail.propagate(function)
     return any(trail.leaves(function, call) for function in functions.values() for call in function.of(ast.Call))
 
 
 @dataclass
-class _Trail:
+class _ObservationFlow:
     """Where observations go.
 
     Attributes:
@@ -50,11 +50,11 @@ class _Trail:
         stored: attributes that do.
     """
 
-    adapter: Adapter
+    adapter: ModelClass
     local: dict[int, set[str]]
     stored: set[str] = field(default_factory=set)
 
-    def spread(self, function: Function) -> None:
+    def propagate(self, function: Function) -> None:
         """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
         local = self.local[id(function.node)]
         settings: list[ast.Assign | ast.AnnAssign] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
@@ -71,9 +71,9 @@ class _Trail:
             if _holds(loop.iter, local, self.stored):
                 local |= names(loop.target)
         for call in function.of(ast.Call):
-            self._hand_over(function, call, local)
+            self._propagate_call(function, call, local)
 
-    def _hand_over(self, function: Function, call: ast.Call, local: set[str]) -> None:
+    def _propagate_call(self, function: Function, call: ast.Call, local: set[str]) -> None:
         """Note what a call puts into an attribute, or gives a function of the boundary."""
         if isinstance(call.func, ast.Attribute) and call.func.attr in GROWING:
             attribute = self_attribute(call.func.value)
@@ -81,18 +81,18 @@ class _Trail:
                 self.stored.add(attribute)
         other = self.adapter.callee(function, call)
         if other is not None:
-            given = list(zip(parameters(other.node), call.args, strict=False))
-            given += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
-            taken = self.local.setdefault(id(other.node), set())
-            taken |= {name for name, value in given if _is_whole(value, local, self.stored)}
+            arguments = list(zip(parameters(other.node), call.args, strict=False))
+            arguments += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
+            observed_names = self.local.setdefault(id(other.node), set())
+            observed_names |= {name for name, value in arguments if _is_whole(value, local, self.stored)}
 
     def leaves(self, function: Function, call: ast.Call) -> bool:
         """Tell whether a call gives an observation to code that is not the adapter's."""
         name, local = called(call), self.local[id(function.node)]
         if last(name) in _KNOWN or self.adapter.callee(function, call) is not None:
             return False
-        given = (*call.args, *(keyword.value for keyword in call.keywords))
-        if not any(_is_whole(value, local, self.stored) for value in given):
+        arguments = (*call.args, *(keyword.value for keyword in call.keywords))
+        if not any(_is_whole(value, local, self.stored) for value in arguments):
             return False
         return not f"{origin(self.adapter.source, function.file, name)}.".startswith(_READ)
 
@@ -104,18 +104,18 @@ def _holds(node: ast.expr, local: set[str], stored: set[str]) -> bool:
 
 def _within(node: ast.expr) -> list[ast.expr]:
     """Return what a container or a copy is made of; an expression that is neither as it is."""
-    found: list[ast.expr] = [node]
+    parts: list[ast.expr] = [node]
     if isinstance(node, (ast.ListComp, ast.GeneratorExp)):
-        found = [node.elt]
+        parts = [node.elt]
     elif isinstance(node, ast.DictComp):
-        found = [node.value]
+        parts = [node.value]
     elif isinstance(node, ast.Dict):
-        found = [value for key, value in zip(node.keys, node.values, strict=True) if key is None]
+        parts = [value for key, value in zip(node.keys, node.values, strict=True) if key is None]
     elif isinstance(node, (ast.List, ast.Tuple)):
-        found = list(node.elts)
+        parts = list(node.elts)
     elif isinstance(node, ast.Call) and last(called(node)) in _COPIES:
-        found = [*node.args, *([node.func.value] if isinstance(node.func, ast.Attribute) else [])]
-    return found
+        parts = [*node.args, *([node.func.value] if isinstance(node.func, ast.Attribute) else [])]
+    return parts
 
 
 def _is_whole(node: ast.expr, local: set[str], stored: set[str]) -> bool:

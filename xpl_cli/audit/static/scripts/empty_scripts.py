@@ -16,7 +16,7 @@ from xpl_cli.audit.static.syntax import called, last
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
-    from xpl_cli.audit.static.shell import Command, Word
+    from xpl_cli.audit.static.shell import ShellCommand, ShellWord
     from xpl_cli.audit.static.source import Source
 
 RUN_BY_XPL: Final = {
@@ -32,7 +32,7 @@ _PREPARES: Final = frozenset(
     )
 )
 """Programs that convert and train nothing."""
-_SAYS: Final = frozenset(
+_REPORTS: Final = frozenset(
     (
         *("print", "exit", "debug", "info", "warning", "error", "critical", "exception", "basicConfig", "getLogger"),
         *("ArgumentParser", "add_argument", "parse_args", "parse_known_args"),
@@ -50,7 +50,7 @@ _VARIABLE: Final = re.compile(r"\$\{?(\w+)\}?")
 
 
 @dataclass(frozen=True)
-class Hollow:
+class EmptyScript:
     """A script with nothing behind it.
 
     Attributes:
@@ -62,13 +62,13 @@ class Hollow:
     """
 
     script: str
-    word: Word | None
+    word: ShellWord | None
     runs: str = ""
-    is_there: bool = False
+    exists: bool = False
     by_xpl: bool = False
 
 
-def hollow(source: Source) -> list[Hollow]:
+def empty_scripts(source: Source) -> list[EmptyScript]:
     """Return the scripts for data and training that have nothing behind them; none of a package for evaluation only.
 
     Raises:
@@ -77,49 +77,49 @@ def hollow(source: Source) -> list[Hollow]:
     if source.manifest.evaluation_only:
         return []
     names = [name for name in spec.data("package")["files"]["training"] if source.has(name)]
-    found = (_judged(source, name) for name in names)
-    return [entry for entry in found if entry is not None]
+    results = (_check_script(source, name) for name in names)
+    return [entry for entry in results if entry is not None]
 
 
-def _judged(source: Source, name: str) -> Hollow | None:
+def _check_script(source: Source, name: str) -> EmptyScript | None:
     """Return what is wrong with a script; None where something, known or not, may do the work."""
     folders: dict[str, str] = {}
     here: str | None = ""
-    empty: list[Hollow] = []
+    empty: list[EmptyScript] = []
     for command in source.commands(name):
         if any("$(" in value.raw and ".py" in value.raw for _, value in command.assignments):
             return None
-        folders.update({variable: _text(value.raw, folders) for variable, value in command.assignments})
+        folders.update({variable: _folder_value(value.raw, folders) for variable, value in command.assignments})
         if not command.arguments:
             continue
-        words, program = script_flow.runs(command), _program(command)
+        words, program = script_flow.executed_words(command), _program(command)
         if program == "cd":
-            here = "" if len(words) > 1 and _resolved(words[1].raw, folders, "") == "" else None
+            here = "" if len(words) > 1 and _resolve_path(words[1].raw, folders, "") == "" else None
         if _only_prepares(command, program):
             continue
         target = _target(program, words)
         if target is None:
             return None
         by_xpl = program == "xpl"
-        file = RUN_BY_XPL[target.text] if by_xpl else _resolved(target.raw, folders, here)
-        if not file or _works(source, file):
+        file = RUN_BY_XPL[target.text] if by_xpl else _resolve_path(target.raw, folders, here)
+        if not file or _may_do_something(source, file):
             return None
-        empty.append(Hollow(name, target, file, source.has(file), by_xpl))
+        empty.append(EmptyScript(name, target, file, source.has(file), by_xpl))
     if empty:
         return empty[0]
-    return None if source.is_ecosystem else Hollow(name, None)  # which has no place to say that nothing is trained
+    return None if source.is_ecosystem else EmptyScript(name, None)  # which has no place to say that nothing is trained
 
 
-def _program(command: Command) -> str:
-    words = script_flow.runs(command)
+def _program(command: ShellCommand) -> str:
+    words = script_flow.executed_words(command)
     return _DEFAULT.sub(r"\1", words[0].text).rpartition("/")[2] if words else ""
 
 
-def _only_prepares(command: Command, program: str) -> bool:
-    return script_flow.talks(command) or program in _PREPARES
+def _only_prepares(command: ShellCommand, program: str) -> bool:
+    return script_flow.only_prints(command) or program in _PREPARES
 
 
-def _target(program: str, words: Sequence[Word]) -> Word | None:
+def _target(program: str, words: Sequence[ShellWord]) -> ShellWord | None:
     """Return the word that names what a command runs: a Python file, or the command of `xpl`; None for others."""
     if program == "xpl":
         return words[1] if len(words) > 1 and words[1].text in RUN_BY_XPL else None
@@ -130,17 +130,17 @@ def _target(program: str, words: Sequence[Word]) -> Word | None:
     return first if first is not None and first.text.endswith(".py") else None
 
 
-def _text(raw: str, folders: dict[str, str]) -> str:
+def _folder_value(raw: str, folders: dict[str, str]) -> str:
     """Return the value of a variable where it is the package's folder or lies below it; "?" for others."""
     if len(raw) > _LONGEST:
         return "?"
     if _OWN_FOLDER.fullmatch(raw) and ".." not in raw and ("BASH_SOURCE" in raw or "$0" in raw):
         return "."
-    value = _resolved(raw, folders, None)
+    value = _resolve_path(raw, folders, None)
     return "?" if value is None else value or "."
 
 
-def _resolved(raw: str, folders: dict[str, str], here: str | None) -> str | None:
+def _resolve_path(raw: str, folders: dict[str, str], here: str | None) -> str | None:
     """Return a path relative to the package's folder, "" for that itself; None where it is not known."""
     text = raw.replace('"', "").replace("'", "")
     text = _VARIABLE.sub(lambda found: folders.get(found.group(1), "?"), text)
@@ -151,7 +151,7 @@ def _resolved(raw: str, folders: dict[str, str], here: str | None) -> str | None
     return None if here is None and not is_own else "/".join(parts)
 
 
-def _works(source: Source, file: str) -> bool:
+def _may_do_something(source: Source, file: str) -> bool:
     """Tell whether a Python file may do something; one below a folder that is not there may be brought later."""
     if not source.has(file):
         folder = (source.path / file).parent
@@ -162,15 +162,15 @@ def _works(source: Source, file: str) -> bool:
     if not source.parses(file):
         return True  # the rule `parses` tells it
     tree = source.tree(file)
-    own = {node.name for node in source.nodes(file) if isinstance(node, _FUNCTIONS)}
+    own_functions = {node.name for node in source.nodes(file) if isinstance(node, _FUNCTIONS)}
     calls = {called(node) or "?" for node in source.nodes(file) if isinstance(node, ast.Call)}
-    return not (all(map(_is_idle, tree.body)) and all(map(_only_says, calls - own)))
+    return not (all(map(_is_idle, tree.body)) and all(map(_only_reports, calls - own_functions)))
 
 
-def _only_says(function: str) -> bool:
+def _only_reports(function: str) -> bool:
     """Tell whether a function outside of the file only talks, ends the program, or makes an exception."""
     name = last(function)
-    return name in _SAYS or (name == function and name.endswith(("Error", "Exception", "Exit")))
+    return name in _REPORTS or (name == function and name.endswith(("Error", "Exception", "Exit")))
 
 
 def _is_idle(node: ast.stmt) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
-from xpl_cli.audit.static.episode import is_reported
+from xpl_cli.audit.static.episode_state import is_reported
 from xpl_cli.audit.static.function import Function, Symbols
 from xpl_cli.audit.static.syntax import (
     KeyRead,
@@ -41,7 +41,7 @@ _HARMLESS: Final = frozenset(("dict", "copy", "deepcopy", "isinstance", "len", "
 
 
 @dataclass(frozen=True)
-class Setting:
+class ConfigRead:
     """One place where the adapter reads its configuration."""
 
     function: Function
@@ -49,7 +49,7 @@ class Setting:
 
 
 @dataclass
-class Adapter:
+class ModelClass:
     """The class `Model`.
 
     Attributes:
@@ -67,10 +67,10 @@ class Adapter:
     inherited: set[str] = field(default_factory=set)
     is_sdk: bool = False
     is_closed: bool = True
-    _mentions: dict[int, list[Function]] = field(default_factory=dict)
+    _references: dict[int, list[Function]] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, source: Source) -> Adapter:
+    def of(cls, source: Source) -> ModelClass:
         """Find the class; whoever asks again for one that was found gets the same.
 
         Raises:
@@ -78,26 +78,26 @@ class Adapter:
             NotApplicable: if model.py takes it from a package that is not part of the adapter.
         """
         if cls in source.views:
-            known: Adapter = source.views[cls]
-            return known
-        wanted = source.manifest.model_class
+            cached: ModelClass = source.views[cls]
+            return cached
+        class_name = source.manifest.model_class
         source.tree(sdk.File.MODEL_PY)
-        found = symbols(source, sdk.File.MODEL_PY).classes.get(wanted)
-        if found is None and origin(source, sdk.File.MODEL_PY, wanted):
-            raise NotApplicable(f"model.py takes {wanted} from a package that is not part of the adapter")
-        if found is None:
-            raise NotRun(f"model.py defines no class {wanted}")
-        source.views[cls] = made = cls.described(source, *found)
-        return made
+        definition = symbols(source, sdk.File.MODEL_PY).classes.get(class_name)
+        if definition is None and origin(source, sdk.File.MODEL_PY, class_name):
+            raise NotApplicable(f"model.py takes {class_name} from a package that is not part of the adapter")
+        if definition is None:
+            raise NotRun(f"model.py defines no class {class_name}")
+        source.views[cls] = model_class = cls.from_node(source, *definition)
+        return model_class
 
     @classmethod
-    def described(cls, source: Source, file: str, node: ast.ClassDef) -> Adapter:
+    def from_node(cls, source: Source, file: str, node: ast.ClassDef) -> ModelClass:
         """Describe a class of the boundary."""
         adapter = cls(source, file, node)
         adapter._inherit(file, node, set())
         return adapter
 
-    def _inherit(self, file: str, node: ast.ClassDef, seen: set[str]) -> None:
+    def _inherit(self, file: str, node: ast.ClassDef, visited: set[str]) -> None:
         defined = {  # of two definitions in one class the later one counts
             child.name: self.source.function(file, child, node)
             for child in node.body
@@ -106,9 +106,9 @@ class Adapter:
         self.methods = {**defined, **self.methods}
         for base in node.bases:
             name = dotted(base)
-            local = None if name in seen else symbols(self.source, file).classes.get(name)
+            local = None if name in visited else symbols(self.source, file).classes.get(name)
             if local is not None:
-                self._inherit(*local, seen | {name})
+                self._inherit(*local, visited | {name})
             elif last(name) == _SDK_CLASS and origin(self.source, file, name).startswith("xpl"):
                 self.is_sdk = True
                 self.inherited.update(("__init__", *sdk.CONTRACT_METHODS))
@@ -133,19 +133,19 @@ class Adapter:
         """Return these functions and every function of the boundary that they may call."""
         return self._walk(list(functions))
 
-    def _walk(self, found: list[Function]) -> list[Function]:
-        seen = {id(function.node) for function in found}
-        for function in found:
+    def _walk(self, functions: list[Function]) -> list[Function]:
+        visited = {id(function.node) for function in functions}
+        for function in functions:
             key = id(function.node)
-            if key not in self._mentions:
-                self._mentions[key] = list(self._mentioned(function))
-            for other in self._mentions[key]:
-                if id(other.node) not in seen:
-                    seen.add(id(other.node))
-                    found.append(other)
-        return found
+            if key not in self._references:
+                self._references[key] = list(self._referenced_functions(function))
+            for other in self._references[key]:
+                if id(other.node) not in visited:
+                    visited.add(id(other.node))
+                    functions.append(other)
+        return functions
 
-    def _mentioned(self, function: Function) -> Iterator[Function]:
+    def _referenced_functions(self, function: Function) -> Iterator[Function]:
         local = symbols(self.source, function.file).functions
         for node in function.nodes:
             if (
@@ -159,35 +159,35 @@ class Adapter:
                 yield local[node.id]
 
     @cached_property
-    def components(self) -> dict[str, Adapter]:
+    def components(self) -> dict[str, ModelClass]:
         """Attributes that hold an object of another class of the boundary, with that class."""
-        found: dict[str, Adapter] = {}
+        classes: dict[str, ModelClass] = {}
         for function in self.reach(*LOADING):
             for node in function.nodes:
-                made = self._made(function, node.value) if isinstance(node, ast.Assign) else None
-                for target in targets(node) if made is not None else []:
+                component = self._constructed_class(function, node.value) if isinstance(node, ast.Assign) else None
+                for target in targets(node) if component is not None else []:
                     attribute = _plain_attribute(target)
-                    if attribute is not None and made is not None:
-                        found[attribute] = made
-        return found
+                    if attribute is not None and component is not None:
+                        classes[attribute] = component
+        return classes
 
-    def _made(self, function: Function, value: ast.expr, depth: int = 2) -> Adapter | None:
+    def _constructed_class(self, function: Function, value: ast.expr, depth: int = 2) -> ModelClass | None:
         """Return the class of what an expression makes: a constructor, or a function that returns one's result."""
         if not isinstance(value, ast.Call) or depth == 0:
             return None
         cls = symbols(self.source, function.file).classes.get(dotted(value.func))
         if cls is not None:
-            return Adapter.described(self.source, *cls)
+            return ModelClass.from_node(self.source, *cls)
         maker = self.callee(function, value)
         returned = [node.value for node in maker.nodes if isinstance(node, ast.Return) and node.value] if maker else []
-        return self._made(maker, returned[-1], depth - 1) if maker and returned else None
+        return self._constructed_class(maker, returned[-1], depth - 1) if maker and returned else None
 
     @cached_property
-    def settings(self) -> list[Setting]:
+    def settings(self) -> list[ConfigRead]:
         """Every place where the class, or a function it hands its configuration to, reads a key of it."""
         return [
-            Setting(function, read)
-            for function, is_config in self._configured
+            ConfigRead(function, read)
+            for function, is_config in self._config_readers
             for read in map(key_read, function.nodes)
             if read is not None and is_config(read.owner)
         ]
@@ -196,19 +196,19 @@ class Adapter:
     def config_escapes(self) -> bool:
         """Whether the configuration is handed on as a whole to code outside the boundary, which may read any key."""
         return any(
-            self._hands_on(function, node, is_config)
-            for function, is_config in self._configured
+            self._passes_on_config(function, node, is_config)
+            for function, is_config in self._config_readers
             for node in function.nodes
         )
 
-    def _hands_on(self, function: Function, node: ast.AST, is_config: Callable[[ast.AST], bool]) -> bool:
+    def _passes_on_config(self, function: Function, node: ast.AST, is_config: Callable[[ast.AST], bool]) -> bool:
         if isinstance(node, ast.keyword) and node.arg is None:
             return is_config(node.value)
         if isinstance(node, (ast.For, ast.comprehension)):
             return is_config(node.iter)
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and is_config(node.func.value):
             return node.func.attr in {"items", "keys", "values"} and not is_reported(node, function)
-        if not isinstance(node, ast.Call) or not any(is_config(_uncopied(value)) for value in _values(node)):
+        if not isinstance(node, ast.Call) or not any(is_config(_unwrap_copy(value)) for value in _values(node)):
             return False
         if last(called(node)) in _HARMLESS or self.callee(function, node) is not None:
             return False
@@ -216,36 +216,38 @@ class Adapter:
         return not is_base and not origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
 
     @cached_property
-    def _configured(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
+    def _config_readers(self) -> list[tuple[Function, Callable[[ast.AST], bool]]]:
         """Every function of the class, with a test for expressions that are the configuration."""
         functions = {id(function.node): function for function in self.reach(*self.methods)}
-        known: dict[int, set[str]] = {key: set() for key in functions}
+        config_names: dict[int, set[str]] = {key: set() for key in functions}
         attributes = {"config"} if self.is_sdk else set()
         for name in LOADING:
             function = self.methods.get(name)
             if function is not None:
-                known[id(function.node)].update(parameters(function.node)[:1])
+                config_names[id(function.node)].update(parameters(function.node)[:1])
         before = -1
-        while before != (before := len(attributes) + sum(map(len, known.values()))):
+        while before != (before := len(attributes) + sum(map(len, config_names.values()))):
             for key, function in functions.items():
-                self._spread(function, known[key], attributes, known)
-        return [(function, _test(known[key], attributes)) for key, function in functions.items()]
+                self._propagate_config(function, config_names[key], attributes, config_names)
+        return [(function, _config_test(config_names[key], attributes)) for key, function in functions.items()]
 
-    def _spread(self, function: Function, local: set[str], attributes: set[str], known: dict[int, set[str]]) -> None:
+    def _propagate_config(
+        self, function: Function, local: set[str], attributes: set[str], config_names: dict[int, set[str]]
+    ) -> None:
         """Note where a function puts the configuration: into names, attributes, parameters of functions it calls."""
-        is_config = _test(local, attributes)
+        is_config = _config_test(local, attributes)
         for node in function.nodes:
             if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
-                if is_config(_uncopied(node.value)):
+                if is_config(_unwrap_copy(node.value)):
                     for target in targets(node):
                         if isinstance(target, ast.Name):
                             local.add(target.id)
                         elif (attribute := _plain_attribute(target)) is not None:
                             attributes.add(attribute)
             elif isinstance(node, ast.Call) and (other := self.callee(function, node)) is not None:
-                given = _bound(parameters(other.node), node)
-                known.setdefault(id(other.node), set()).update(
-                    name for name, value in given if is_config(_uncopied(value))
+                arguments = _bind_arguments(parameters(other.node), node)
+                config_names.setdefault(id(other.node), set()).update(
+                    name for name, value in arguments if is_config(_unwrap_copy(value))
                 )
 
     def callee(self, function: Function, call: ast.Call) -> Function | None:
@@ -260,29 +262,29 @@ class Adapter:
 
 def symbols(source: Source, file: str) -> Symbols:
     """Return the classes and functions that a file defines at its top level or imports from the boundary."""
-    known = source.memory
-    if file not in known:
-        known[file] = found = Symbols()
+    cache = source.memory
+    if file not in cache:
+        cache[file] = table = Symbols()
         try:
             tree = source.tree(file)
         except NotRun:
-            return found
+            return table
         modules = source.imports(file)
         for node in _top_level(tree.body):
             if isinstance(node, ast.ClassDef):
-                found.classes[node.name] = (file, node)
+                table.classes[node.name] = (file, node)
             elif isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
-                found.functions[node.name] = source.function(file, node)
+                table.functions[node.name] = source.function(file, node)
             elif isinstance(node, ast.ImportFrom):
                 module = modules.get("." * node.level + (node.module or ""))
                 other = Symbols() if module is None else symbols(source, module)
                 for alias in node.names:
                     name = alias.asname or alias.name
                     if alias.name in other.classes:
-                        found.classes[name] = other.classes[alias.name]
+                        table.classes[name] = other.classes[alias.name]
                     if alias.name in other.functions:
-                        found.functions[name] = other.functions[alias.name]
-    return known[file]
+                        table.functions[name] = other.functions[alias.name]
+    return cache[file]
 
 
 def _top_level(body: list[ast.stmt]) -> Iterator[ast.stmt]:
@@ -314,7 +316,7 @@ def _plain_attribute(node: ast.AST) -> str | None:
     return self_attribute(node) if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) else None
 
 
-def _uncopied(node: ast.expr) -> ast.expr:
+def _unwrap_copy(node: ast.expr) -> ast.expr:
     """Return what a copy is made of: `dict(config)`, `config.copy()`, `config or {}`."""
     if isinstance(node, ast.Call):
         name = last(called(node))
@@ -327,7 +329,7 @@ def _uncopied(node: ast.expr) -> ast.expr:
     return node
 
 
-def _test(local: set[str], attributes: set[str]) -> Callable[[ast.AST], bool]:
+def _config_test(local: set[str], attributes: set[str]) -> Callable[[ast.AST], bool]:
     def is_config(node: ast.AST) -> bool:
         if isinstance(node, ast.Name):
             return node.id in local
@@ -340,7 +342,7 @@ def _values(call: ast.Call) -> list[ast.expr]:
     return [*call.args, *(keyword.value for keyword in call.keywords)]
 
 
-def _bound(names: list[str], call: ast.Call) -> list[tuple[str, ast.expr]]:
+def _bind_arguments(names: list[str], call: ast.Call) -> list[tuple[str, ast.expr]]:
     """Return the parameters that a call gives, with what they get."""
-    given = list(zip(names, call.args, strict=False))
-    return given + [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg in names]
+    positional = list(zip(names, call.args, strict=False))
+    return positional + [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg in names]

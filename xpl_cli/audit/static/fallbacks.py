@@ -16,7 +16,7 @@ _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
 
 
 @dataclass(frozen=True)
-class Blank:
+class ZeroFallback:
     """Zeros that stand in for a missing value.
 
     Attributes:
@@ -35,59 +35,65 @@ class Blank:
     is_masked: bool = False
 
 
-def blanks(function: Function) -> Iterator[Blank]:
+def zero_fallbacks(function: Function) -> Iterator[ZeroFallback]:
     """Yield the zeros that a function puts where a look-up in a map found nothing."""
-    looked_up = _looked_up(function)
+    sources = _lookup_results(function)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in {"get", "pop"}:
-            if len(node.args) > 1 and (made := _made(node.args[1])) is not None:
-                yield Blank(function, made, ast.unparse(node.args[0]), dotted(node.func.value), _is_image(made))
+            if len(node.args) > 1 and (zeros := _zeros_call(node.args[1])) is not None:
+                yield ZeroFallback(
+                    function, zeros, ast.unparse(node.args[0]), dotted(node.func.value), _is_image(zeros)
+                )
         elif isinstance(node, ast.If):
-            yield from _branches(function, node.test, node.body, node.orelse, looked_up)
+            yield from _branches(function, node.test, node.body, node.orelse, sources)
         elif isinstance(node, ast.IfExp):
-            yield from _branches(function, node.test, [node.body], [node.orelse], looked_up)
+            yield from _branches(function, node.test, [node.body], [node.orelse], sources)
         elif isinstance(node, ast.Try):
             for handler in node.handlers:
                 if handler.type is not None and last(dotted(handler.type)) in {"KeyError", "Exception"}:
-                    for made in _put(handler.body):
+                    for zeros in _zeros_in_branch(handler.body):
                         read = next((dotted(child.value) for entry in node.body for child in ast.walk(entry)
                                      if isinstance(child, ast.Subscript) and dotted(child.value)), "")  # fmt: skip
-                        yield Blank(function, made, ast.unparse(node.body[0]).split("\n")[0], read, _is_image(made))
+                        yield ZeroFallback(
+                            function, zeros, ast.unparse(node.body[0]).split("\n")[0], read, _is_image(zeros)
+                        )
 
 
 def _branches(
-    function: Function, test: ast.expr, body: Sequence[ast.AST], orelse: Sequence[ast.AST], looked_up: dict[str, str]
-) -> Iterator[Blank]:
+    function: Function, test: ast.expr, body: Sequence[ast.AST], orelse: Sequence[ast.AST], sources: dict[str, str]
+) -> Iterator[ZeroFallback]:
     """Yield zeros in the branch of a test that is taken where something is missing."""
-    for what, read, is_missing in _asked(test, looked_up):
+    for what, read, is_missing in _missing_tests(test, sources):
         branch = body if is_missing else orelse
-        is_masked = any("mask" in word or "pad" in word for entry in branch for word in _words(entry))
-        for made in _put(branch):
-            yield Blank(function, made, what, read, _is_image(made), is_masked)
+        is_masked = any(
+            "mask" in identifier or "pad" in identifier for entry in branch for identifier in _identifiers(entry)
+        )
+        for zeros in _zeros_in_branch(branch):
+            yield ZeroFallback(function, zeros, what, read, _is_image(zeros), is_masked)
 
 
-def _words(node: ast.AST) -> set[str]:
+def _identifiers(node: ast.AST) -> set[str]:
     attributes = {child.attr for child in ast.walk(node) if isinstance(child, ast.Attribute)}
     return {word.lower() for word in names(node) | texts(node) | attributes}
 
 
-def _asked(test: ast.expr, looked_up: dict[str, str]) -> Iterator[tuple[str, str, bool]]:
+def _missing_tests(test: ast.expr, sources: dict[str, str]) -> Iterator[tuple[str, str, bool]]:
     """Yield what a test asks for, the map it comes from, and whether the test is true where it is missing."""
     if isinstance(test, ast.BoolOp):
         for value in test.values:
-            yield from _asked(value, looked_up)
+            yield from _missing_tests(value, sources)
     elif isinstance(test, ast.Compare) and len(test.ops) == 1:
         operator, left, right = test.ops[0], test.left, test.comparators[0]
         if isinstance(operator, (ast.Is, ast.IsNot)) and constant(right) is None and isinstance(left, ast.Name):
-            if left.id in looked_up:
-                yield left.id, looked_up[left.id], isinstance(operator, ast.Is)
+            if left.id in sources:
+                yield left.id, sources[left.id], isinstance(operator, ast.Is)
         elif isinstance(operator, (ast.In, ast.NotIn)) and dotted(right):
             yield ast.unparse(left), dotted(right), isinstance(operator, ast.NotIn)
 
 
-def _looked_up(function: Function) -> dict[str, str]:
+def _lookup_results(function: Function) -> dict[str, str]:
     """Return the names that hold what a look-up found, or a function made of one, with the map they come from."""
-    found: dict[str, str] = {}
+    sources: dict[str, str] = {}
     for node in function.nodes:
         value = getattr(node, "value", None)
         if isinstance(node, (ast.Assign, ast.AnnAssign)) and isinstance(value, ast.expr):
@@ -95,8 +101,8 @@ def _looked_up(function: Function) -> dict[str, str]:
             targets = node.targets if isinstance(node, ast.Assign) else [node.target]
             for target in targets if read else []:
                 if isinstance(target, ast.Name):
-                    found.setdefault(target.id, read)
-    return found
+                    sources.setdefault(target.id, read)
+    return sources
 
 
 def _map_of(value: ast.expr) -> str:
@@ -109,7 +115,7 @@ def _map_of(value: ast.expr) -> str:
     return ""
 
 
-def _put(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
+def _zeros_in_branch(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
     """Yield the zeros that a branch returns or assigns."""
     if any(isinstance(entry, ast.stmt) for entry in body) and always_raises(
         [e for e in body if isinstance(e, ast.stmt)]
@@ -118,12 +124,12 @@ def _put(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
     for entry in body:
         value = entry if isinstance(entry, ast.expr) else getattr(entry, "value", None)
         if isinstance(entry, (ast.Return, ast.Assign, ast.AnnAssign, ast.expr)) and isinstance(value, ast.expr):
-            made = _made(value)
-            if made is not None:
-                yield made
+            zeros = _zeros_call(value)
+            if zeros is not None:
+                yield zeros
 
 
-def _made(value: ast.expr) -> ast.Call | None:
+def _zeros_call(value: ast.expr) -> ast.Call | None:
     """Return the call that makes zeros, if a value is nothing else, possibly converted."""
     while isinstance(value, ast.Call):
         name = called(value)
@@ -141,14 +147,14 @@ def _made(value: ast.expr) -> ast.Call | None:
     return None
 
 
-def _is_image(made: ast.Call) -> bool:
+def _is_image(zeros: ast.Call) -> bool:
     """Tell whether zeros have the shape (H, W, 3) or (3, H, W), or are bytes."""
-    if called(made).startswith("Image."):
+    if called(zeros).startswith("Image."):
         return True
-    shape = made.args[0] if made.args else None
+    shape = zeros.args[0] if zeros.args else None
     sizes = shape.elts if isinstance(shape, (ast.Tuple, ast.List)) else []
     has_channels = len(sizes) >= 3 and 3 in (constant(sizes[-1]), constant(sizes[-3]))
     is_bytes = any(
-        "uint8" in ast.unparse(value) for value in (*made.args[1:], *(entry.value for entry in made.keywords))
+        "uint8" in ast.unparse(value) for value in (*zeros.args[1:], *(entry.value for entry in zeros.keywords))
     )
     return has_channels or (is_bytes and (len(sizes) >= 2 or bool(shape is not None and names(shape))))

@@ -32,7 +32,7 @@ _IMAGE: Final = re.compile(r"(^|_)(images?|imgs?|rgb|frames?|pixels|colou?rs?)(_
 
 
 @dataclass(frozen=True)
-class Swap:
+class ChannelSwap:
     """One exchange of the first and the last channel.
 
     Attributes:
@@ -48,18 +48,18 @@ class Swap:
     observed: bool
 
 
-def swaps(function: Function) -> Iterator[Swap]:
+def channel_swaps(function: Function) -> Iterator[ChannelSwap]:
     """Yield the exchanges in a function whose input is an image of the standard, as far as can be told.
 
     Left out: what goes straight to a writer that wants BGR, what was read from a file or video by OpenCV, and what
     happens only under a condition about "bgr", which is then somebody's setting.
     """
-    found = [(node, *_swapped(node)) for node in function.of(ast.Call, ast.Subscript)]
-    found = [entry for entry in found if entry[1] is not None]
-    if not found or any(last(called(node)) == "imencode" for node in function.nodes):
+    candidates = [(node, *_swapped_image(node)) for node in function.of(ast.Call, ast.Subscript)]
+    candidates = [entry for entry in candidates if entry[1] is not None]
+    if not candidates or any(last(called(node)) == "imencode" for node in function.nodes):
         return  # nothing, or encoded and decoded again, to compress
     sources = _sources(function)
-    for node, image, claims_bgr in found:
+    for node, image, claims_bgr in candidates:
         if image is None:
             continue
         origin = _origin(image)
@@ -67,8 +67,8 @@ def swaps(function: Function) -> Iterator[Swap]:
             origin |= sources.get(name, set())
         if origin & _READS_BGR or _is_for_a_writer(node, function) or _is_a_setting(node, function):
             continue
-        is_decoded = any(map(_decodes, origin)) and not _asks_for_bgr(node)
-        yield Swap(function, node, claims_bgr, is_decoded, _is_observed(origin))
+        is_decoded = any(map(_decodes, origin)) and not _converts_to_bgr(node)
+        yield ChannelSwap(function, node, claims_bgr, is_decoded, _is_observed(origin))
 
 
 def _decodes(name: str) -> bool:
@@ -76,38 +76,38 @@ def _decodes(name: str) -> bool:
     return name in _DECODES or (_DECODER.search(name.lower()) is not None and "bgr" not in name.lower())
 
 
-def _swapped(node: ast.AST) -> tuple[ast.expr | None, bool]:
+def _swapped_image(node: ast.AST) -> tuple[ast.expr | None, bool]:
     """Return the image whose channels a node exchanges, and whether the code calls it BGR."""
     if isinstance(node, ast.Call):
         if last(called(node)) == "cvtColor" and len(node.args) > 1:
             code = last(ast.unparse(node.args[1]))
             return (node.args[0] if code in {"COLOR_BGR2RGB", "COLOR_RGB2BGR"} else None), code == "COLOR_BGR2RGB"
-        return _flipped(node), False
+        return _flipped_image(node), False
     if not isinstance(node, ast.Subscript) or not isinstance(node.ctx, ast.Load):
         return None, False
-    places = node.slice.elts if isinstance(node.slice, ast.Tuple) else []
-    if len(places) < _AXES and not any(map(_is_ellipsis, places)):
+    indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else []
+    if len(indices) < _AXES and not any(map(_is_ellipsis, indices)):
         return None, False  # `[:, ::-1]` is a mirror
-    channels = places[-1]
+    channels = indices[-1]
     backwards = isinstance(channels, ast.Slice) and channels.lower is channels.upper is None
     if backwards and constant(getattr(channels, "step", None)) == -1:
         return node.value, False
     return (node.value if ast.unparse(channels) in _BACKWARDS else None), False
 
 
-def _flipped(node: ast.Call) -> ast.expr | None:
+def _flipped_image(node: ast.Call) -> ast.expr | None:
     """Return what `np.flip(image, -1)`, `image.flip(-1)` or `np.take(image, [2, 1, 0], axis=-1)` takes."""
     name, axes = last(called(node)), {"axis", "dims", "dim"}
-    given = [keyword.value for keyword in node.keywords if keyword.arg in axes]
+    axis_arguments = [keyword.value for keyword in node.keywords if keyword.arg in axes]
     if name == "take" and len(node.args) > 1 and ast.unparse(node.args[1]) in _BACKWARDS:
-        given += node.args[2:]
+        axis_arguments += node.args[2:]
     elif name == "flip" and node.args:
-        given += node.args[1:] if len(node.args) > 1 or given else node.args
+        axis_arguments += node.args[1:] if len(node.args) > 1 or axis_arguments else node.args
     else:
         return None
-    if len(given) != 1 or ast.unparse(given[0]).strip("()[],") not in {"-1", "2"}:
+    if len(axis_arguments) != 1 or ast.unparse(axis_arguments[0]).strip("()[],") not in {"-1", "2"}:
         return None
-    is_method = isinstance(node.func, ast.Attribute) and given[0] is node.args[0]
+    is_method = isinstance(node.func, ast.Attribute) and axis_arguments[0] is node.args[0]
     return node.func.value if is_method and isinstance(node.func, ast.Attribute) else node.args[0]
 
 
@@ -115,7 +115,7 @@ def _is_ellipsis(node: ast.expr) -> bool:
     return isinstance(node, ast.Constant) and node.value is Ellipsis
 
 
-def _asks_for_bgr(node: ast.expr) -> bool:
+def _converts_to_bgr(node: ast.expr) -> bool:
     return isinstance(node, ast.Call) and any("RGB2BGR" in ast.unparse(argument) for argument in node.args[1:])
 
 
@@ -136,7 +136,7 @@ def _sources(function: Function) -> dict[str, set[str]]:
     A parameter that is called an image counts as one of the observation.
     """
     images = filter(_IMAGE.search, parameters(function.node))
-    found: dict[str, set[str]] = {name: {_READS_IMAGE} for name in images}
+    origins: dict[str, set[str]] = {name: {_READS_IMAGE} for name in images}
     for _ in range(3):
         for node in function.nodes:
             value = node.iter if isinstance(node, (ast.For, ast.comprehension)) else getattr(node, "value", None)
@@ -145,12 +145,12 @@ def _sources(function: Function) -> dict[str, set[str]]:
             ):
                 origin = _origin(value)
                 for name in names(value):
-                    origin |= found.get(name, set())
+                    origin |= origins.get(name, set())
                 bound = [node.target] if isinstance(node, ast.comprehension) else targets(node)
                 for target in bound:
                     if isinstance(target, ast.Name):
-                        found.setdefault(target.id, set()).update(origin)
-    return found
+                        origins.setdefault(target.id, set()).update(origin)
+    return origins
 
 
 def _is_for_a_writer(node: ast.AST, function: Function) -> bool:
@@ -168,7 +168,7 @@ def _is_for_a_writer(node: ast.AST, function: Function) -> bool:
 
 def _is_a_setting(node: ast.AST, function: Function) -> bool:
     conditions = (outer for outer in enclosing(node, function.up) if isinstance(outer, (ast.If, ast.IfExp)))
-    words = {word.lower() for condition in conditions for word in texts(condition.test) | names(condition.test)}
+    identifiers = {word.lower() for condition in conditions for word in texts(condition.test) | names(condition.test)}
     attributes = (
         entry
         for outer in enclosing(node, function.up)
@@ -176,4 +176,4 @@ def _is_a_setting(node: ast.AST, function: Function) -> bool:
         for entry in ast.walk(outer.test)
         if isinstance(entry, ast.Attribute)
     )
-    return any("bgr" in word or "swap" in word for word in words | {entry.attr.lower() for entry in attributes})
+    return any("bgr" in word or "swap" in word for word in identifiers | {entry.attr.lower() for entry in attributes})

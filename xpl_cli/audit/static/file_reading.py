@@ -37,7 +37,7 @@ def is_document(name: str) -> bool:
 
 
 @dataclass(frozen=True)
-class Text:
+class FileText:
     """What a file holds.
 
     Attributes:
@@ -51,7 +51,7 @@ class Text:
     encoding_error: str | None
 
 
-def text(package: Path, name: str) -> Text:
+def read_text(package: Path, name: str) -> FileText:
     """Return what a file of a package holds.
 
     Args:
@@ -62,7 +62,7 @@ def text(package: Path, name: str) -> Text:
         NotRun: if there is no such file or it may not be read, if it is too large, or lies outside of the package.
     """
     try:
-        if inside(package, name) is None and (package / name).is_file():
+        if resolve_inside(package, name) is None and (package / name).is_file():
             raise NotRun(f"{name} is a link that leads out of the package, and is not followed")
         # A pipe that took the file's place meanwhile is opened without waiting for its writer.
         handle = os.open(package / name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
@@ -79,10 +79,10 @@ def text(package: Path, name: str) -> Text:
         raise NotRun(f"{name} cannot be read: {error.strerror or error}") from None
     if len(data) > SIZE_LIMIT:
         raise NotRun(f"{name} is larger than {SIZE_LIMIT} bytes")
-    return Text(data, *decoded(data, python=name.endswith(".py")))
+    return FileText(data, *decode_text(data, python=name.endswith(".py")))
 
 
-def inside(package: Path, name: str) -> str | None:
+def resolve_inside(package: Path, name: str) -> str | None:
     """Return a file's name in its package with all links followed; None if it is no file, or lies elsewhere.
 
     Two names of one file give one answer, so that a folder that links to itself has no more files than it holds.
@@ -94,7 +94,7 @@ def inside(package: Path, name: str) -> str | None:
         return None
 
 
-def decoded(data: bytes, *, python: bool) -> tuple[str, str | None]:
+def decode_text(data: bytes, *, python: bool) -> tuple[str, str | None]:
     """Return the text of a file, and why Python would refuse it; undecodable bytes are replaced.
 
     Args:
@@ -110,8 +110,8 @@ def decoded(data: bytes, *, python: bool) -> tuple[str, str | None]:
         except (SyntaxError, LookupError) as error:
             encoding, problem = "utf-8", str(error)
         except UnicodeDecodeError as error:
-            place = data.count(b"\n", 0, error.start) + 1
-            problem = f"byte {error.object[error.start]:#04x} in line {place} is not {error.encoding}"
+            line_number = data.count(b"\n", 0, error.start) + 1
+            problem = f"byte {error.object[error.start]:#04x} in line {line_number} is not {error.encoding}"
     text = data.decode(encoding, errors="replace")
     return text.replace("\r\n", "\n").replace("\r", "\n").removeprefix("\ufeff"), problem
 
@@ -132,7 +132,7 @@ def _require_ascii(encoding: str) -> None:
     raise LookupError(f"{encoding} is no encoding for source: in it, ASCII stands for something else")
 
 
-def parsed_yaml(content: bytes) -> tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]:
+def parse_yaml(content: bytes) -> tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]:
     """Return what YAML holds, and why it does not parse, with line and column."""
     import yaml
 

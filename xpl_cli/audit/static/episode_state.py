@@ -23,7 +23,7 @@ _REPORTS: Final = re.compile(
 """Names of functions that tell something and change nothing, one's own too: `cprint`, `log_once`, `_warn`."""
 
 
-def mentioned(functions: list[Function]) -> set[str]:
+def mentioned_attributes(functions: list[Function]) -> set[str]:
     """Return every attribute of `self` that these functions name; a reset that names one is believed to reset it."""
     return {
         node.attr
@@ -33,9 +33,9 @@ def mentioned(functions: list[Function]) -> set[str]:
     }
 
 
-def read(functions: list[Function]) -> set[str]:
+def read_attributes(functions: list[Function]) -> set[str]:
     """Return every attribute of `self` whose value these functions use, other than to report it or to change it."""
-    asked = {
+    getattr_names = {
         str(node.args[1].value)
         for function in functions
         for node in function.of(ast.Call)
@@ -45,7 +45,7 @@ def read(functions: list[Function]) -> set[str]:
         and isinstance(node.args[1], ast.Constant)
         and not is_reported(node, function)
     }
-    return {name for name in asked if not _BOOKKEEPING.search(name)} | {
+    return {name for name in getattr_names if not _BOOKKEEPING.search(name)} | {
         node.attr
         for function in functions
         for node in function.nodes
@@ -65,7 +65,7 @@ def is_memo(write: Write) -> bool:
     """
     inner: ast.AST = write.node
     for ancestor in enclosing(write.node, write.function.up):
-        if isinstance(ancestor, ast.If) and write.attribute in _asked_whether_missing(ancestor.test, write.kind):
+        if isinstance(ancestor, ast.If) and write.attribute in _missing_checks(ancestor.test, write.kind):
             return inner not in ancestor.orelse
         if isinstance(ancestor, ast.ExceptHandler) and ancestor.type is not None:
             return last(dotted(ancestor.type)) in {"KeyError", "AttributeError"}
@@ -75,24 +75,24 @@ def is_memo(write: Write) -> bool:
     return False
 
 
-def _asked_whether_missing(test: ast.expr, kind: Kind) -> set[str]:
+def _missing_checks(test: ast.expr, kind: Kind) -> set[str]:
     """Return the attributes whose absence a test asks for: `x not in self.a`, `self.a is None`, `not self.a`.
 
     A list that is filled where it is empty is no cache but a queue: of what grows, only a missing key counts.
     """
-    found: set[str | None] = set()
+    attributes: set[str | None] = set()
     for node in ast.walk(test):
         if isinstance(node, ast.Compare) and isinstance(node.ops[0], ast.NotIn):
-            found.add(self_attribute(node.comparators[0]))
+            attributes.add(self_attribute(node.comparators[0]))
         elif kind == "grown":
             continue
         elif isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.Is, ast.Eq)):
-            found.add(self_attribute(node.left))
+            attributes.add(self_attribute(node.left))
         elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            found.add(self_attribute(node.operand))
+            attributes.add(self_attribute(node.operand))
             if isinstance(node.operand, ast.Call) and called(node.operand) == "hasattr":
-                found.update(texts(node.operand))
-    return {attribute for attribute in found if attribute is not None}
+                attributes.update(texts(node.operand))
+    return {attribute for attribute in attributes if attribute is not None}
 
 
 def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
