@@ -10,7 +10,7 @@ import pytest
 
 from tests.support.commands import xpl
 from tests.support.places import ROOT
-from tests.support.recordings.runs import Faults, rewritten, synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.statistics import intervals, verdicts
@@ -38,8 +38,8 @@ def compared(first: Path, second: Path) -> dict[str, Any]:
 @pytest.fixture
 def runs(tmp_path: Path) -> tuple[Path, Path]:
     """A run of Foo, and one of Bar, which is better."""
-    foo = synthetic(tmp_path / "foo", episodes=30, rate=0.4, policy="Foo")
-    return foo, synthetic(tmp_path / "bar", episodes=30, rate=0.75, policy="Bar")
+    foo = synthetic_run(tmp_path / "foo", episodes=30, rate=0.4, policy="Foo")
+    return foo, synthetic_run(tmp_path / "bar", episodes=30, rate=0.75, policy="Bar")
 
 
 def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> None:
@@ -57,8 +57,8 @@ def test_the_better_policy_is_named_with_its_margin(runs: tuple[Path, Path]) -> 
 
 
 def test_no_significant_difference_is_not_called_equality(tmp_path: Path) -> None:
-    foo = synthetic(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
-    bar = synthetic(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
+    foo = synthetic_run(tmp_path / "foo", **ONE, episodes=20, rate=0.5, policy="Foo")
+    bar = synthetic_run(tmp_path / "bar", **ONE, episodes=20, rate=0.55, policy="Bar")
     comparison = compared(foo, bar)
     low, high = comparison["overall"]["interval"]
     assert low < 0 < high
@@ -71,7 +71,7 @@ def test_no_significant_difference_is_not_called_equality(tmp_path: Path) -> Non
 
 def test_a_repeated_run_is_recognised(tmp_path: Path) -> None:
     """It is no evidence about anything but repeatability."""
-    first = synthetic(tmp_path / "first")
+    first = synthetic_run(tmp_path / "first")
     again = tmp_path / "again"
     shutil.copytree(first, again)
     comparison = compared(first, again)
@@ -83,8 +83,8 @@ def test_a_repeated_run_is_recognised(tmp_path: Path) -> None:
 
 def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
     """Seeds that one run lacks are left out and reported; an infrastructure error is no success."""
-    foo = synthetic(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
-    bar = synthetic(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
+    foo = synthetic_run(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
+    bar = synthetic_run(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
     comparison = compared(foo, bar)
     errors = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
     row = comparison["overall"]
@@ -103,8 +103,8 @@ def test_differences_besides_the_policy_are_reported(runs: tuple[Path, Path]) ->
 
 
 def test_tasks_that_one_run_lacks_are_reported(tmp_path: Path) -> None:
-    foo = synthetic(tmp_path / "foo", policy="Foo")
-    comparison = compared(foo, synthetic(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
+    foo = synthetic_run(tmp_path / "foo", policy="Foo")
+    comparison = compared(foo, synthetic_run(tmp_path / "bar", ["lift_cube"], ["clean", "other"], policy="Bar"))
     assert [(row["task"], row["setting"]) for row in comparison["cells"]] == [("lift_cube", "clean")]
     (entry,) = comparison["differences"]
     assert entry["second"] == "lift_cube (other)"
@@ -121,8 +121,8 @@ def test_tasks_that_one_run_lacks_are_reported(tmp_path: Path) -> None:
     ],
 )
 def test_runs_that_have_nothing_in_common_are_refused(tmp_path: Path, change: dict[str, Any], complaint: str) -> None:
-    foo = synthetic(tmp_path / "foo", policy="Foo")
-    bar = rewritten(synthetic(tmp_path / "bar", policy="Bar", first_seed=0 if change else 100), **change)
+    foo = synthetic_run(tmp_path / "foo", policy="Foo")
+    bar = rewritten(synthetic_run(tmp_path / "bar", policy="Bar", first_seed=0 if change else 100), **change)
     with pytest.raises(IncomparableError, match=complaint) as caught:
         compared(foo, bar)
     assert caught.value.code is ExitCode.NOT_RUN
@@ -140,10 +140,10 @@ def test_equal_seeds_that_drew_other_scenes_are_refused(runs: tuple[Path, Path])
 
 def test_exit_codes(tmp_path: Path) -> None:
     for name in ("foo", "bar"):
-        synthetic(tmp_path / name, **ONE, episodes=3)
+        synthetic_run(tmp_path / name, **ONE, episodes=3)
     done = xpl("compare", "foo", "bar/records.jsonl", "--json", folder=tmp_path)
     assert (done.code, done.stderr, json.loads(done.stdout)["schema"]) == (ExitCode.CLEAN, "", Comparison.schema)
-    synthetic(tmp_path / "elsewhere", ["other_task"], episodes=3)
+    synthetic_run(tmp_path / "elsewhere", ["other_task"], episodes=3)
     for second, code in (("nothing", ExitCode.NOT_FOUND), ("foo", ExitCode.USAGE), ("elsewhere", ExitCode.NOT_RUN)):
         done = xpl("compare", "foo", second, folder=tmp_path)
         assert (done.code, done.stdout) == (code, "")
@@ -155,7 +155,7 @@ def test_the_documentation_shows_what_the_command_prints(tmp_path: Path) -> None
     pairs = {"lift_cube": PairedCounts(27, 4, 14, 5), "stack_blocks_two": PairedCounts(9, 6, 15, 20)}
     folders = []
     for side, name in enumerate(("Foo", "Bar")):
-        folder = synthetic(tmp_path / name, list(pairs), ["clean"], 50, policy=name, faults=Faults(retried=0))
+        folder = synthetic_run(tmp_path / name, list(pairs), ["clean"], 50, policy=name, faults=Faults(retried=0))
 
         def outcome(line: Line, side: int = side) -> Line:
             both, only_first, only_second, _ = pairs[line["task"]]

@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.commands import xpl
 from tests.support.places import ROOT
-from tests.support.recordings.runs import Faults, rewritten, synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import comparable_runs, export, ranking, ranking_text
 from xpl_cli.evaluation.records import records
@@ -30,7 +30,7 @@ EXPERT = ROOT / "policy" / "scripted_expert"
 
 
 def _run(folder: Path, policy: str, **options: Any) -> records.Run:
-    return records.read(synthetic(folder / policy, policy=policy, **options))
+    return records.read(synthetic_run(folder / policy, policy=policy, **options))
 
 
 def _rank(*runs: records.Run, **options: bool) -> ranking.Ranking:
@@ -66,7 +66,7 @@ def test_runs_without_a_shown_difference_are_reported(tmp_path: Path) -> None:
 
 def test_equal_runs_share_a_rank_and_have_names_of_their_own(tmp_path: Path) -> None:
     """The same policy twice is distinguished by the folders; the next rank is left out."""
-    same = [records.read(synthetic(tmp_path / name, rate=0.9)) for name in ("a", "b")]
+    same = [records.read(synthetic_run(tmp_path / name, rate=0.9)) for name in ("a", "b")]
     result = _rank(*same, _run(tmp_path, "Worse", rate=0.1))
     assert [row.rank for row in result.rows] == [1, 1, 3]
     assert result.labels[:2] == [f"Foo ({tmp_path / name})" for name in ("a", "b")]
@@ -76,7 +76,7 @@ def test_a_run_whose_adapter_could_reach_its_judge_is_neither_ranked_nor_submitt
     """One episode is enough whose record says so, or says nothing."""
     variants = (("Kept", {"containment": "isolated"}), ("Trusted", {"containment": "trusted"}), ("Unsaid", {}))
     runs = [
-        records.read(rewritten(synthetic(tmp_path / name, policy=name), lambda lines, last=last: [
+        records.read(rewritten(synthetic_run(tmp_path / name, policy=name), lambda lines, last=last: [
             *lines[:-1], {**{key: value for key, value in lines[-1].items() if key != "containment"}, **last}]))
         for name, last in variants
     ]  # fmt: skip
@@ -252,7 +252,7 @@ def test_names_make_no_way_out_of_the_folder(tmp_path: Path) -> None:
 
 
 def test_two_runs_never_write_the_same_file(tmp_path: Path) -> None:
-    runs = [records.read(synthetic(tmp_path / name, episodes=2)) for name in ("a", "b")]
+    runs = [records.read(synthetic_run(tmp_path / name, episodes=2)) for name in ("a", "b")]
     with pytest.raises(UserError, match="would both write"):
         export.write("robotwin", runs, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.recordings.runs import episode, synthetic
+from tests.support.recordings.runs import episode, synthetic_run
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
 from xpl_cli.evaluation.leaderboard import comparable_runs, export, result_trees
 from xpl_cli.evaluation.records import records
@@ -25,7 +25,7 @@ SAID = "by a mock"
 
 
 def _run(folder: Path, policy: str = "Foo", settings: tuple[str, ...] = (SETTING,)) -> records.Run:
-    return records.read(synthetic(folder / policy, tasks=("lift_cube",), settings=settings, episodes=4, policy=policy))
+    return records.read(synthetic_run(folder / policy, tasks=("lift_cube",), settings=settings, episodes=4, policy=policy))
 
 
 def test_every_report_begins_with_the_remark(tmp_path: Path) -> None:

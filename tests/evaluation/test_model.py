@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import episode, synthetic
+from tests.support.recordings.runs import episode, synthetic_run
 from xpl_cli.evaluation.leaderboard import ranking
 from xpl_cli.evaluation.records import lines, model, records
 from xpl_cli.evaluation.statistics import comparison_model, summary_model
@@ -69,7 +69,7 @@ def test_fields_are_those_of_the_schema(kind: type, schema: dict[str, Any], apar
 
 def test_a_record_is_written_as_it_was_read(tmp_path: Path) -> None:
     """Line by line, but for keys that may be null and were left out."""
-    folder = synthetic(tmp_path, episodes=30, traces=2, films=1)
+    folder = synthetic_run(tmp_path, episodes=30, traces=2, films=1)
     raw = [json.loads(line) for line in (folder / records.FILE).read_text().splitlines()]
     run = records.read(folder)
     assert run.plan.as_json() == raw[0]

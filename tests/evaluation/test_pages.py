@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.outside.browser import Page, browser
 from tests.support.peer import wait_until
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic_run
 from xpl_cli.evaluation.leaderboard import comparable_runs, ranking
 from xpl_cli.evaluation.leaderboard import leaderboard_files as board
 from xpl_cli.evaluation.records import records
@@ -35,7 +35,7 @@ def page() -> Iterator[Page]:
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a run with all kinds of failures, films and curves."""
     folder = tmp_path_factory.mktemp("runs") / "foo"
-    return synthetic(folder, episodes=30, traces=2, films=2, faults=Faults(0.1, 0.05, 0.1))
+    return synthetic_run(folder, episodes=30, traces=2, films=2, faults=Faults(0.1, 0.05, 0.1))
 
 
 @pytest.fixture(scope="module")
@@ -118,7 +118,7 @@ def test_the_list_can_be_narrowed(page: Page, url: str, run: Path) -> None:
 
 def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
     """Markup in names, errors and instructions is displayed, not interpreted."""
-    folder = synthetic(tmp_path / "foo", ["lift_cube", HOSTILE], episodes=4, policy=HOSTILE, faults=Faults(1.0))
+    folder = synthetic_run(tmp_path / "foo", ["lift_cube", HOSTILE], episodes=4, policy=HOSTILE, faults=Faults(1.0))
     text = (folder / records.FILE).read_text()
     sentence = "left_arm_joint_state holds a value that is no number"
     (folder / records.FILE).write_text(text.replace(json.dumps(sentence), json.dumps(f"{sentence} {HOSTILE}")))
@@ -136,7 +136,7 @@ def test_texts_of_others_stay_texts(page: Page, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("width", "dark"), LOOKS)
 def test_the_leaderboard_fits_too(page: Page, tmp_path: Path, width: int, dark: bool) -> None:
     folders = [
-        synthetic(tmp_path / name, episodes=20, policy=name, rate=rate) for name, rate in (("A", 0.2), ("B", 0.9))
+        synthetic_run(tmp_path / name, episodes=20, policy=name, rate=rate) for name, rate in (("A", 0.2), ("B", 0.9))
     ]
     board.write(ranking.rank(comparable_runs.gather([records.read(folder) for folder in folders])), tmp_path / "board")
     page.open((tmp_path / "board/leaderboard.html").as_uri(), width, dark=dark)

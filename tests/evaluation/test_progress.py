@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic_run
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.progress import show_progress
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 def run(tmp_path: Path) -> records.Run:
     """Return a run of 2 cells with 4 episodes each, of which 3 are completed, all with success."""
     faults = Faults(policy=0.0, retried=0.0)
-    return records.read(synthetic(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
+    return records.read(synthetic_run(tmp_path, ["lift"], episodes=4, rate=1.0, played=3, faults=faults))
 
 
 def _next(run: records.Run, index: int, **more: Any) -> EpisodeRecord:

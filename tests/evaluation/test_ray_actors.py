@@ -58,14 +58,14 @@ def test_a_lane_with_a_server_of_its_own_plays_and_starts_it_again(player: Rollo
     assert player.ready() == post
     drill.mark(tmp_path, "policy-dies-0", 0)
     outcome = _played(player)
-    assert outcome.ending.success
+    assert outcome.outcome.success
     assert outcome.facts == post.facts
     assert outcome.trace is not None
     drill.mark(tmp_path, "policy-dies-0", 1)
-    assert _played(player).ending.end_reason == "policy_died"
+    assert _played(player).outcome.end_reason == "policy_died"
     again = _played(player)
-    assert again.ending.digest == outcome.ending.digest
-    assert again.conduct.server != outcome.conduct.server
+    assert again.outcome.digest == outcome.outcome.digest
+    assert again.execution.server != outcome.execution.server
 
 
 def _played(player: RolloutActor) -> RolloutResult:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support.places import ROOT
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import synthetic_run
 from tests.support.work import calls
 from xpl_cli.basics.errors import NotFoundError
 from xpl_cli.evaluation.records import records
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """Return a run of 8 episodes, of which 5 are completed."""
-    return synthetic(tmp_path / "run", episodes=2, played=5)
+    return synthetic_run(tmp_path / "run", episodes=2, played=5)
 
 
 def _lines(folder: Path) -> list[dict[str, Any]]:
@@ -174,7 +174,7 @@ def test_half_a_line_is_taken_back_where_the_disk_is_full(folder: Path) -> None:
 def test_reading_takes_as_much_for_each_episode_however_many_there_are(tmp_path: Path) -> None:
     """And little: 150 calls are 60 us, so that ten thousand episodes are there in less than a second."""
     for episodes in (10, 100):
-        folder = synthetic(tmp_path / str(episodes), [f"task_{number}" for number in range(10)], episodes=episodes)
+        folder = synthetic_run(tmp_path / str(episodes), [f"task_{number}" for number in range(10)], episodes=episodes)
         run, count = calls(partial(records.read, folder))
         assert len(run.finals) == 20 * episodes
         assert count < 150 * len(run.finals)

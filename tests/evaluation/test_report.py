@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tests.support.commands import xpl
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic_run
 from tests.support.work import calls
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
@@ -47,7 +47,7 @@ def _data(page: str) -> Any:
 
 def test_a_report_is_a_page_and_the_same_for_machines_and_for_papers(tmp_path: Path) -> None:
     """The command writes five files beside the record and prints the path of the page."""
-    run = synthetic(tmp_path / "foo", episodes=6)
+    run = synthetic_run(tmp_path / "foo", episodes=6)
     done = xpl("report", str(run), folder=tmp_path)
     assert done.code == ExitCode.CLEAN, done.stderr
     assert done.stdout.strip() == str(run / "report" / "index.html")
@@ -74,7 +74,7 @@ def test_a_run_that_cannot_be_reported_is_refused_in_a_sentence(tmp_path: Path) 
 
 def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
     """A second report replaces the first; a folder with other files stays as it is."""
-    run = synthetic(tmp_path / "foo", episodes=2)
+    run = synthetic_run(tmp_path / "foo", episodes=2)
     first = (_write(run) / report_files.PAGE).read_bytes()
     assert (_write(run) / report_files.PAGE).read_bytes() == first
     (run / report_files.FOLDER / "mine.txt").write_text("work")
@@ -85,16 +85,16 @@ def test_a_report_is_replaced_and_nothing_else_is(tmp_path: Path) -> None:
 
 def test_a_run_that_goes_on_is_reported_as_what_it_is(tmp_path: Path) -> None:
     """Page and Markdown give the number of remaining episodes; cells without an episode have no rate."""
-    out = _write(synthetic(tmp_path / "foo", episodes=10, played=13))
+    out = _write(synthetic_run(tmp_path / "foo", episodes=10, played=13))
     assert "13 of 40 episodes" in (out / report_files.PAGE).read_text()
     assert "This run is not complete: 13 of 40 episodes." in (out / report_files.MARKDOWN).read_text()
-    assert (_write(synthetic(tmp_path / "bar", episodes=2, played=0)) / report_files.PAGE).is_file()
+    assert (_write(synthetic_run(tmp_path / "bar", episodes=2, played=0)) / report_files.PAGE).is_file()
 
 
 @pytest.mark.slow
 def test_many_episodes_take_not_much_each(tmp_path: Path) -> None:
     """Reading, statistics, page, tables: 600 calls for an episode are 200 us."""
-    run = synthetic(tmp_path / "foo", [f"task_{number}" for number in range(10)], episodes=100)
+    run = synthetic_run(tmp_path / "foo", [f"task_{number}" for number in range(10)], episodes=100)
     _write(run)  # what is imported and compiled once does not count
     out, count = calls(lambda: _write(run))
     assert count < 600 * 2000
@@ -112,7 +112,7 @@ def test_spreadsheets_find_no_formula(tmp_path: Path) -> None:
 
 def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
     """Nothing in it leads elsewhere, and its own policy lets nothing but its own style and script run."""
-    page = (_write(synthetic(tmp_path / "foo", episodes=4, traces=2, films=2)) / report_files.PAGE).read_text()
+    page = (_write(synthetic_run(tmp_path / "foo", episodes=4, traces=2, films=2)) / report_files.PAGE).read_text()
     assert not re.search(r"""(?:src|href|url)\s*[=(]\s*["']?(?:https?:)?//""", page)
     policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]*)"', page)
     assert policy is not None
@@ -128,7 +128,7 @@ def test_the_page_holds_all_that_it_needs(tmp_path: Path) -> None:
 
 def test_the_list_holds_every_episode(tmp_path: Path) -> None:
     """Columns and shared values restore the record."""
-    run = synthetic(tmp_path / "foo", episodes=10, faults=Faults(0.2, 0.2, 0.3))
+    run = synthetic_run(tmp_path / "foo", episodes=10, faults=Faults(0.2, 0.2, 0.3))
     data = _data((_write(run) / report_files.PAGE).read_text())["episodes"]
     finals = list(records.read(run).finals.values())
     columns, values = data["columns"], data["values"]
@@ -144,7 +144,7 @@ def test_the_list_holds_every_episode(tmp_path: Path) -> None:
 
 def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
     """Without a budget videos are linked, wherever the page is, and curves are named."""
-    run = synthetic(tmp_path / "a run", episodes=2, traces=3, films=2)
+    run = synthetic_run(tmp_path / "a run", episodes=2, traces=3, films=2)
     media_by_index = _data((_write(run, tmp_path / "elsewhere", budget=0) / report_files.PAGE).read_text())["media"]
     assert media_by_index["0"]["film"] == {"source": "../a%20run/films/0.webp", "video": False}
     assert media_by_index["2"] == {"trace": "../a%20run/traces/2.npz"}
@@ -155,7 +155,7 @@ def test_what_exceeds_the_budget_is_linked(tmp_path: Path) -> None:
 
 def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path) -> None:
     """Of each cell in turn, a failure and a success in turn, are embedded."""
-    run = records.read(synthetic(tmp_path / "foo", episodes=8, traces=32, rate=0.5))
+    run = records.read(synthetic_run(tmp_path / "foo", episodes=8, traces=32, rate=0.5))
     size = max(len(json.dumps(curves.read(path.read_bytes(), path.name))) for path in run.folder.glob("traces/*"))
     media_by_index = media.collect_media(run, 9 * size, "")
     assert sum("trace" in entry for entry in media_by_index.values()) > 10
@@ -173,7 +173,7 @@ def test_a_small_budget_goes_to_every_cell_and_to_failures_first(tmp_path: Path)
     ],
 )
 def test_a_changed_or_missing_video_is_not_embedded(tmp_path: Path, spoil: Any, message: str) -> None:
-    run = synthetic(tmp_path / "foo", episodes=2, films=1)
+    run = synthetic_run(tmp_path / "foo", episodes=2, films=1)
     spoil(run)
     media_by_index = media.collect_media(records.read(run), MUCH, "")
     assert list(media_by_index["0"]) == ["problem"]
@@ -181,7 +181,7 @@ def test_a_changed_or_missing_video_is_not_embedded(tmp_path: Path, spoil: Any, 
 
 
 def test_a_record_leads_to_no_file_outside_its_run(tmp_path: Path) -> None:
-    run = synthetic(tmp_path / "foo", episodes=2, films=1)
+    run = synthetic_run(tmp_path / "foo", episodes=2, films=1)
     shutil.copy(run / "films/0.webp", tmp_path / "secret.webp")
     text = (run / records.FILE).read_text()
     (run / records.FILE).write_text(text.replace("films/0.webp", "../secret.webp"))

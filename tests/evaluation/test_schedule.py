@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.support.examples import examples
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import synthetic_run
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.records.model import AttemptExecution, EpisodeOutcome
@@ -92,7 +92,7 @@ def _play(folder: Path, plan: RunPlan, backend: Script, enough: Any = _never) ->
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory: pytest.TempPathFactory) -> RunPlan:
     """Return a plan of two cells with three episodes each, and three attempts."""
-    folder = synthetic(tmp_path_factory.mktemp("plan"), tasks=["a"], episodes=3, played=0)
+    folder = synthetic_run(tmp_path_factory.mktemp("plan"), tasks=["a"], episodes=3, played=0)
     return records.read(folder).plan
 
 

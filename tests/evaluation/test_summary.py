@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, rewritten, synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.runs.stopping import stopping_point
 from xpl_cli.evaluation.statistics import intervals, wording
@@ -37,7 +37,7 @@ def results(summary: dict[str, Any]) -> dict[str, Any]:
 
 def test_rows_count_completed_episodes(tmp_path: Path) -> None:
     """Cells in the order of the plan, and sums over them."""
-    report = summary_of(synthetic(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
+    report = summary_of(synthetic_run(tmp_path / "run", episodes=25, faults=Faults(policy=0.1)))
     assert [(row["task"], row["setting"]) for row in report["cells"]] == [
         ("lift_cube", "clean"), ("lift_cube", "randomized"), ("stack_cubes", "clean"), ("stack_cubes", "randomized"),
     ]  # fmt: skip
@@ -53,7 +53,7 @@ def test_rows_count_completed_episodes(tmp_path: Path) -> None:
 
 
 def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
-    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
+    folder = synthetic_run(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
     usual, exact = summary_of(folder), summary_of(folder, "exact")
     row = exact["overall"]
     assert row["success_interval"] == pytest.approx(list(intervals.clopper_pearson(row["successes"], row["judged"])))
@@ -63,7 +63,7 @@ def test_the_exact_interval_is_at_hand(tmp_path: Path) -> None:
 
 def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Path) -> None:
     """Nor on what was tried before: several workers and a resumed run give the same table, byte for byte."""
-    folder = synthetic(tmp_path / "run", faults=Faults(retried=0.2))
+    folder = synthetic_run(tmp_path / "run", faults=Faults(retried=0.2))
     before = summary_of(folder)
 
     def shuffled(lines: list[Line]) -> list[Line]:
@@ -80,7 +80,7 @@ def test_results_do_not_depend_on_the_order_in_which_episodes_ended(tmp_path: Pa
 
 def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) -> None:
     """The rate is of all episodes, and the bounds of what it might have been stand beside it."""
-    report = summary_of(synthetic(tmp_path / "run", faults=Faults(infrastructure=0.1)))
+    report = summary_of(synthetic_run(tmp_path / "run", faults=Faults(infrastructure=0.1)))
     row = report["overall"]
     errors = row["failures"]["infrastructure"]
     assert errors > 0
@@ -92,15 +92,15 @@ def test_infrastructure_errors_count_as_failed_and_are_reported(tmp_path: Path) 
         note for note in report["notes"] if note.startswith(f"{errors} episodes ended with an infrastructure error")
     )
     assert f"without them {row['successes']} of {row['judged']} succeeded" in note
-    assert summary_of(synthetic(tmp_path / "other"))["overall"]["infrastructure_bounds"] is None
-    nothing = summary_of(synthetic(tmp_path / "nothing", faults=Faults(infrastructure=1.0)))
+    assert summary_of(synthetic_run(tmp_path / "other"))["overall"]["infrastructure_bounds"] is None
+    nothing = summary_of(synthetic_run(tmp_path / "nothing", faults=Faults(infrastructure=1.0)))
     assert (nothing["overall"]["success_rate"], nothing["overall"]["infrastructure_bounds"]) == (None, None)
     assert nothing["notes"][0] == "80 episodes ended with an infrastructure error: they have no result."
 
 
 def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path: Path) -> None:
     """Leaving it out would reward a policy that breaks the hard ones."""
-    folder = synthetic(tmp_path / "run", settings=["clean"], episodes=20, rate={("lift_cube", "clean"): 1.0,
+    folder = synthetic_run(tmp_path / "run", settings=["clean"], episodes=20, rate={("lift_cube", "clean"): 1.0,
                        ("stack_cubes", "clean"): 0.0}, faults=Faults(policy=0.0, retried=0.0))  # fmt: skip
 
     def spoiling(lines: list[Line]) -> list[Line]:
@@ -114,7 +114,7 @@ def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path
 
 def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path) -> None:
     """Dying in every attempt that goes wrong must not be a second chance."""
-    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0))
+    folder = synthetic_run(tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0))
 
     def reviving(lines: list[Line]) -> list[Line]:
         head, *rest = lines
@@ -129,7 +129,7 @@ def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path)
 
 def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) -> None:
     """Whatever an environment made of the episode: leaving it out would reward errors."""
-    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"], episodes=20, rate=1.0)
+    folder = synthetic_run(tmp_path / "run", tasks=["lift_cube"], settings=["clean"], episodes=20, rate=1.0)
 
     def failing(lines: list[Line]) -> list[Line]:
         for line in lines[:5]:
@@ -142,7 +142,7 @@ def test_a_policy_that_fails_has_not_succeeded_and_has_no_score(tmp_path: Path) 
 
 
 def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
-    folder = synthetic(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
+    folder = synthetic_run(tmp_path / "run", tasks=["lift_cube"], settings=["clean"])
 
     def driving(lines: list[Line]) -> list[Line]:
         return [{**line, "success": None, "score": None, "failure": None} for line in lines if line["final"]]
@@ -156,7 +156,7 @@ def test_an_environment_without_success_has_no_rate(tmp_path: Path) -> None:
 
 def test_an_unfinished_run_is_reported(tmp_path: Path) -> None:
     """A cell without any episode takes no part in the means."""
-    report = summary_of(synthetic(tmp_path / "run", episodes=10, played=12))
+    report = summary_of(synthetic_run(tmp_path / "run", episodes=10, played=12))
     assert [row["completed"] for row in report["cells"]] == [10, 2, 0, 0]
     assert report["overall"]["remaining"] == 28
     assert report["cells"][2]["success_rate"] is None
@@ -169,7 +169,7 @@ def test_an_unfinished_run_is_reported(tmp_path: Path) -> None:
 def test_episodes_after_the_end_of_a_cell_do_not_count(tmp_path: Path) -> None:
     """A run that stops at narrow intervals has one result, however many episodes were running."""
     cell: dict[str, Any] = {"tasks": ["lift_cube"], "settings": ["clean"], "episodes": 60, "rate": 0.95}
-    whole = summary_of(rewritten(synthetic(tmp_path / "whole", **cell), until_width=0.3))
+    whole = summary_of(rewritten(synthetic_run(tmp_path / "whole", **cell), until_width=0.3))
     row = whole["overall"]
     outcomes = [line.success for line in records.read(tmp_path / "whole").finals.values()]
     assert row["judged"] == stopping_point(outcomes, 0.3)
@@ -180,13 +180,13 @@ def test_episodes_after_the_end_of_a_cell_do_not_count(tmp_path: Path) -> None:
     def cut(lines: list[Line]) -> list[Line]:
         return [line for line in lines if line["index"] < row["completed"]]
 
-    short = summary_of(rewritten(synthetic(tmp_path / "short", **cell), cut, until_width=0.3))
+    short = summary_of(rewritten(synthetic_run(tmp_path / "short", **cell), cut, until_width=0.3))
     assert json.dumps(results(short)) == json.dumps(results(whole))
 
 
 def test_a_gap_keeps_a_cell_from_ending(tmp_path: Path) -> None:
     """An episode after a remaining one does not decide whether the cell has ended."""
-    folder = synthetic(tmp_path / "run", ["lift_cube"], ["clean"], 60, rate=0.95)
+    folder = synthetic_run(tmp_path / "run", ["lift_cube"], ["clean"], 60, rate=0.95)
 
     def gap(lines: list[Line]) -> list[Line]:
         return [line for line in lines if line["index"] != 3]
@@ -199,7 +199,7 @@ def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
     """By seed, since equal seeds have equal layouts; over all tasks, the mean."""
     rates = {(task, setting): 0.9 if setting == "clean" else 0.3
              for task in ("lift_cube", "stack_cubes") for setting in ("clean", "randomized")}  # fmt: skip
-    report = summary_of(synthetic(tmp_path / "run", episodes=40, rate=rates))
+    report = summary_of(synthetic_run(tmp_path / "run", episodes=40, rate=rates))
     each, overall = report["contrasts"][:2], report["contrasts"][2]
     assert [row["task"] for row in report["contrasts"]] == ["lift_cube", "stack_cubes", None]
     assert all(row["settings"] == ["clean", "randomized"] and row["pairs"] == 40 for row in each)
@@ -211,7 +211,7 @@ def test_settings_are_held_against_the_first(tmp_path: Path) -> None:
 
 def test_execution_is_separate_from_results(tmp_path: Path) -> None:
     """Retries, errors, and latency as exactly as a histogram allows."""
-    folder = synthetic(tmp_path / "run", faults=Faults(retried=0.3))
+    folder = synthetic_run(tmp_path / "run", faults=Faults(retried=0.3))
     execution = summary_of(folder)["execution"]
     assert execution["attempts"] == 80 + execution["retried"]
     assert execution["errors"][0]["count"] >= execution["retried"] > 0

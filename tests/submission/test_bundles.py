@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.recordings.runs import Faults, episode, synthetic
+from tests.support.recordings.runs import Faults, episode, synthetic_run
 from xpl_cli.audit.rules.model import TargetReport
 from xpl_cli.audit.rules.verdict import verdict_of
 from xpl_cli.basics.errors import UserError
@@ -28,7 +28,7 @@ LIMIT = 10**7
 
 
 def _run(folder: Path, **changes: Any) -> Run:
-    return records.read(synthetic(folder, episodes=10, **changes))
+    return records.read(synthetic_run(folder, episodes=10, **changes))
 
 
 def _rewritten(run: Run, change: Callable[[list[Line]], Any]) -> Run:

@@ -41,7 +41,7 @@ def write(
     planned: HandedOver,
     result: Path,
     layouts: Sequence[LayoutResult],
-    conduct: AttemptExecution,
+    execution: AttemptExecution,
 ) -> None:
     """Write the record of a run; the launcher counts as a fact of the machine.
 
@@ -50,7 +50,7 @@ def write(
         planned: the plan of the hand-over.
         result: the file that the benchmark wrote.
         layouts: results in that file.
-        conduct: start and duration of the launcher.
+        execution: start and duration of the launcher.
 
     Raises:
         UserError: there is nothing to record, or it cannot be written.
@@ -96,9 +96,9 @@ def write(
                 score=layout.score,
                 failure=None if layout.success else TASK,
                 end_reason=SUCCESS if layout.success else NO_SUCCESS,
-                started=conduct.started,
+                started=execution.started,
                 # A benchmark reports no times of single episodes.
-                wall_seconds=round(conduct.wall_seconds / len(layouts), 3),
+                wall_seconds=round(execution.wall_seconds / len(layouts), 3),
                 machine=machine,
             )
             writer.add(episode)

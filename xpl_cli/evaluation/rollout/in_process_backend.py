@@ -93,10 +93,10 @@ class InProcessBackend:
             url = self._server.url()
         except ServerLostError as error:
             raise UserError(f"the policy server does not start any more: {error}", code=ExitCode.NOT_RUN) from None
-        outcomes = self._worker.run_jobs(jobs, url)
-        if any(outcome.is_server_suspect for outcome in outcomes):
+        results = self._worker.run_jobs(jobs, url)
+        if any(result.is_server_suspect for result in results):
             self._server.drop()
-        return outcomes
+        return results
 
     def close(self) -> None:
         """Stop the worker, and the server if it is ours."""

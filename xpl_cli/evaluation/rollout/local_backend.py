@@ -93,7 +93,7 @@ class LocalBackend:
         self._workers.remove(worker)
         worker.end()
         if not self._workers:
-            reason = str(result.ending.error)
+            reason = str(result.outcome.error)
             raise UserError(reason, hint="fix the cause and continue with --resume", code=ExitCode.NOT_RUN)
         self._returned.append(result.job)
 
@@ -158,12 +158,12 @@ class _WorkerThread(threading.Thread):
             self.is_sound = False
             return lost_rollout(job, f"the policy server does not start any more: {error}", self._worker)
         try:
-            outcome = self._process.run_job(job, url)
+            result = self._process.run_job(job, url)
         except WorkerLostError as error:
-            outcome = lost_rollout(job, str(error), self._worker)
-        if outcome.is_server_suspect:
+            result = lost_rollout(job, str(error), self._worker)
+        if result.is_server_suspect:
             self._server.drop()
-        return outcome
+        return result
 
 
 class WorkerLostError(RuntimeError):

@@ -153,12 +153,12 @@ class RolloutActor:
         if not isinstance(address, str):
             return address or ActorUnavailable("the rollout worker has no policy server")
         try:
-            outcome = self._rollout_worker.run_job(job, address)
+            result = self._rollout_worker.run_job(job, address)
         except UserError as error:
             return Refusal.of(error)
-        if self._server is not None and outcome.is_server_suspect:
+        if self._server is not None and result.is_server_suspect:
             self._server.suspect()
-        return outcome
+        return result
 
 
 def _check_version(expected: str) -> None:

@@ -232,12 +232,12 @@ class RayBackend:
             self._remove_workers([worker], answer)
             self._returned_jobs.append(job)  # it had not begun
             return []
-        outcome: RolloutResult = answer
+        result: RolloutResult = answer
         self._has_results = True
         # The server may have failed: ask for its address, which may be on another machine now.
-        if outcome.is_server_suspect and worker.server is not None and worker.server.url is not None:
+        if result.is_server_suspect and worker.server is not None and worker.server.url is not None:
             self._locate(worker.server, worker.server.actor.url_after_failure)
-        return [outcome]
+        return [result]
 
     def _start_answer(self, ref: Any) -> Any:
         """Return the answer of an actor that starts or restarts; a refusal makes it unavailable.

@@ -107,22 +107,22 @@ class RolloutWorker:
         """
         self._load_adapter_loop()
         started, clock = now(), time.perf_counter()
-        watch, endings = self._run_jobs(jobs, url)
+        watch, outcomes = self._run_jobs(jobs, url)
         took = round(time.perf_counter() - clock, 3)
         containment = self._config.bounds.name
-        conduct = AttemptExecution(started=started, wall_seconds=took, worker=self._name, containment=containment)
+        execution = AttemptExecution(started=started, wall_seconds=took, worker=self._name, containment=containment)
         server = self._server_id()  # None where its connection was let go of
-        outcomes = []
-        for job, ending in zip(jobs, endings, strict=True):
-            if watch is None or ending.failure == INFRASTRUCTURE:
-                outcomes.append(RolloutResult(job, ending, conduct, self._machine, is_server_suspect=True))
+        results = []
+        for job, outcome in zip(jobs, outcomes, strict=True):
+            if watch is None or outcome.failure == INFRASTRUCTURE:
+                results.append(RolloutResult(job, outcome, execution, self._machine, is_server_suspect=True))
                 continue
             inference = watch.inference if job is jobs[0] else None  # a batch is answered once for all
-            execution = replace(conduct, server=server, inference=inference)
-            outcomes.append(
-                RolloutResult(job, ending, execution, self._machine, watch.trace(), watch.film(), server is None)
+            finished = replace(execution, server=server, inference=inference)
+            results.append(
+                RolloutResult(job, outcome, finished, self._machine, watch.trace(), watch.film(), server is None)
             )
-        return outcomes
+        return results
 
     def close(self) -> None:
         """End the connection, the environment and the adapter's loop."""
@@ -180,10 +180,10 @@ class RolloutWorker:
                     client = self._connect(scene, url)
                 except ServerFailedError as error:
                     return watch, self._failed_outcomes(watch, error, len(jobs))
-                endings = self._run_trial(watch, client, jobs)
+                outcomes = self._run_trial(watch, client, jobs)
                 if recorder is not None:
-                    recorder.keep(endings)
-                return watch, endings
+                    recorder.keep(outcomes)
+                return watch, outcomes
         except InfrastructureError as error:
             self._disconnect()
             return watch, [failures.infrastructure_error(str(error))] * len(jobs)
@@ -195,11 +195,11 @@ class RolloutWorker:
             InfrastructureError: the trial ended with one.
         """
         case = trial.describe_case(self._settings(jobs[0].task, jobs[0].setting))
-        endings = self._run_loop(watch, client, len(jobs), case)
+        outcomes = self._run_loop(watch, client, len(jobs), case)
         is_connected = self._scene is not None and self._scene.client is not None
-        if is_connected and not trial.end(client, endings):
+        if is_connected and not trial.end(client, outcomes):
             self._disconnect()
-        return endings
+        return outcomes
 
     def _run_loop(self, watch: TelemetryWrapper, client: Client, count: int, case: Payload) -> list[EpisodeOutcome]:
         """Run the loop and return how each episode went.

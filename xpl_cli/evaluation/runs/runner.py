@@ -73,15 +73,15 @@ def run_schedule(writer: Sink, backend: Backend, schedule: Schedule, view: Progr
     outage = _Outage(_OUTAGE_FACTOR * attempts)
     while not schedule.is_done:
         _submit(backend, schedule, outage)
-        outcomes = backend.wait()
+        results = backend.wait()
         if ahead:
             _submit(backend, schedule, outage)  # workers continue while this process waits for the disk
-        for outcome in outcomes:
-            if schedule.is_expected(outcome.job):
-                line = _record(writer, outcome, attempts)
+        for result in results:
+            if schedule.is_expected(result.job):
+                line = _record(writer, result, attempts)
                 schedule.add(line)
                 view.add(line, schedule.left)
-                outage.ended(outcome.job, line)
+                outage.ended(result.job, line)
         if outage.is_lasting and not schedule.is_done:
             raise UserError(
                 f"{outage.errors} attempts in a row ended with an infrastructure error, the last one: {outage.error}",
@@ -98,10 +98,10 @@ def rerun_episodes(plan: RunPlan, jobs: Sequence[RolloutJob], backend: Backend) 
         while waiting and backend.free() > 0:
             running.add(waiting[-1])
             backend.submit(waiting.pop())
-        for outcome in backend.wait():
-            if outcome.job in running:
-                running.remove(outcome.job)
-                yield _episode(plan, outcome, final=True)
+        for result in backend.wait():
+            if result.job in running:
+                running.remove(result.job)
+                yield _episode(plan, result, final=True)
 
 
 def _submit(backend: Backend, schedule: Schedule, outage: _Outage) -> None:
@@ -143,22 +143,22 @@ class _Outage:
             self.errors, self.error = self.errors + 1, str(line.error)
 
 
-def _record(writer: Sink, outcome: RolloutResult, attempts: int) -> EpisodeRecord:
+def _record(writer: Sink, result: RolloutResult, attempts: int) -> EpisodeRecord:
     """Write an attempt down, its files first, and return its line."""
-    job, plan, folder = outcome.job, writer.run.plan, writer.run.folder
+    job, plan, folder = result.job, writer.run.plan, writer.run.folder
     episode = replace(
-        _episode(plan, outcome, final=not may_retry(outcome.ending) or job.attempt >= attempts),
-        machine=writer.machine(outcome.facts),
-        trace=_write_file(folder, f"{TRACES}/{job.index}.npz", outcome.trace),
-        film=_write_file(folder, f"{FILMS}/{job.index}.webp", outcome.film),
+        _episode(plan, result, final=not may_retry(result.outcome) or job.attempt >= attempts),
+        machine=writer.machine(result.facts),
+        trace=_write_file(folder, f"{TRACES}/{job.index}.npz", result.trace),
+        film=_write_file(folder, f"{FILMS}/{job.index}.webp", result.film),
     )
     writer.add(episode)
     return episode
 
 
-def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRecord:
+def _episode(plan: RunPlan, result: RolloutResult, *, final: bool) -> EpisodeRecord:
     """Return an attempt as it is recorded, but for machine and files."""
-    job = outcome.job
+    job = result.job
     return EpisodeRecord(
         index=job.index,
         attempt=job.attempt,
@@ -169,8 +169,8 @@ def _episode(plan: RunPlan, outcome: RolloutResult, *, final: bool) -> EpisodeRe
         embodiment=plan.embodiment,
         action_type=plan.action_type,
         machine="",
-        **vars(outcome.ending),
-        **vars(outcome.conduct),
+        **vars(result.outcome),
+        **vars(result.execution),
     )
 
 
