@@ -32,7 +32,7 @@ CODES = (1, 2, 4)
 def sound(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, bytes], dict[str, Any]]:
     """Return the files of a bundle that holds together, and its manifest."""
     folder = tmp_path_factory.mktemp("sound")
-    files = bundles.made(folder)
+    files = bundles.write_bundle(folder)
     return files, bundles.manifest(files, folder)
 
 

@@ -14,7 +14,7 @@ import yaml
 
 from tests.support.commands import problem, xpl
 from tests.support.recordings import bundles
-from tests.support.recordings.runs import synthetic
+from tests.support.recordings.runs import synthetic_run
 from xpl_cli.main import app
 
 VALUES = [
@@ -112,9 +112,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (adapter / "model.py").write_text("import os\n\nos._exit(3)\n", encoding="utf-8")
     (adapter / "deploy.yml").write_text("env_cfg_type: franka_single\n", encoding="utf-8")
     (adapter / "policy.yml").write_text("spec: v1\nname: Foo\n", encoding="utf-8")
-    synthetic(folder / "run", episodes=2)
-    synthetic(folder / "other", episodes=2, seed=1)
-    files = bundles.made(folder / "bundle")
+    synthetic_run(folder / "run", episodes=2)
+    synthetic_run(folder / "other", episodes=2, seed=1)
+    files = bundles.write_bundle(folder / "bundle")
     bundles.archived(folder / "bundle.zip", files, bundles.manifest(files, folder / "bundle"))
     (folder / "folder").mkdir()
     (folder / "folder" / "x").touch()

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.progress import Progress
 from xpl_cli.data.conversion import job
@@ -34,7 +34,7 @@ def convert(source: Path, target: Path, to: str = "xpl") -> None:
 def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a LeRobot set that was made of one of the standard's, and says so."""
     folder = tmp_path_factory.mktemp("packed")
-    made.standard(folder / "episode_0.hdf5")
+    datasets.standard(folder / "episode_0.hdf5")
     convert(folder / "episode_0.hdf5", folder / "set", "lerobot-v3.0")
     return folder / "set"
 
@@ -88,7 +88,7 @@ def test_the_true_one_becomes_what_it_was(tmp_path: Path, packed: Path) -> None:
 
 @pytest.mark.parametrize("name", ["observation.\x1b[2Jstate", "a\0b", "a//b", "../b", "", "b" * 300, "a\ud800"])
 def test_a_name_that_is_none_is_one_error(tmp_path: Path, name: str) -> None:
-    path = made.lerobot_v21(tmp_path / "set")
+    path = datasets.lerobot_v21(tmp_path / "set")
     info = json.loads((path / "meta" / "info.json").read_text())
     info["features"][name] = info["features"].pop("observation.state")
     (path / "meta" / "info.json").write_text(json.dumps(info))
@@ -100,7 +100,7 @@ def test_a_name_that_is_none_is_one_error(tmp_path: Path, name: str) -> None:
 
 def test_an_index_that_lies_changes_no_conversion(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
-    made.standard(tmp_path / "set" / "episode_0.hdf5")
+    datasets.standard(tmp_path / "set" / "episode_0.hdf5")
     line = {"file": "episode_0.hdf5", "bytes": (tmp_path / "set" / "episode_0.hdf5").stat().st_size, "steps": 40}
     (tmp_path / "set" / "index.jsonl").write_text(json.dumps(line) + "\n")
     convert(tmp_path / "set", tmp_path / "made", "lerobot-v3.0")
@@ -135,7 +135,7 @@ def test_what_the_standard_does_not_allow_is_not_written(tmp_path: Path, packed:
 @pytest.mark.parametrize("value", [[[1], [1, 2, [3]]], [[["a"]]], [[None]]])
 def test_a_matrix_of_a_camera_that_is_none_is_one_error(tmp_path: Path, value: Any) -> None:
     path = tmp_path / "episode_0.hdf5"
-    made.standard(path)
+    datasets.standard(path)
     with h5py.File(path, "a") as file:
         file["additional_info/episode"] = json.dumps({"vision/cam_head/extrinsic_matrix": value})
     with pytest.raises(DataError, match="vision/cam_head/extrinsic_matrix"):
@@ -146,7 +146,7 @@ def test_a_matrix_of_a_camera_that_is_none_is_one_error(tmp_path: Path, value: A
 def test_facts_of_any_form_are_kept_or_refused_by_name(tmp_path: Path) -> None:
     """LeRobot keeps what stands beside the steps as JSON; the standard has a place for it, which takes numbers."""
     path = tmp_path / "episode_0.hdf5"
-    made.standard(path)
+    datasets.standard(path)
     facts = {"vision/cam_head/shape": {"a": [None]}, "subtasks": 5, "robot": []}
     with h5py.File(path, "a") as file:
         file["additional_info/episode"] = json.dumps(facts)

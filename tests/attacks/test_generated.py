@@ -19,18 +19,18 @@ from hypothesis import strategies as st
 from tests.attacks import hostile
 from tests.attacks.test_checkpoints import MAKERS
 from tests.attacks.test_sets import everything
-from tests.data import made
+from tests.data import datasets
 from xpl_cli.adopt.checkpoints import registry
 from xpl_cli.basics.errors import ExitCode, UserError
 
 SETS: dict[str, Callable[[Path], Any]] = {
-    "libero.hdf5": made.libero,
-    "robotwin": made.robotwin,
-    "episode_0.hdf5": made.aloha,
-    "standard.hdf5": made.standard,
-    "diffusion.zarr": made.diffusion_policy,
-    "lerobot21": made.lerobot_v21,
-    "lerobot30": made.lerobot_v30,
+    "libero.hdf5": datasets.libero,
+    "robotwin": datasets.robotwin,
+    "episode_0.hdf5": datasets.aloha,
+    "standard.hdf5": datasets.standard,
+    "diffusion.zarr": datasets.diffusion_policy,
+    "lerobot21": datasets.lerobot_v21,
+    "lerobot30": datasets.lerobot_v30,
 }
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.checkout import ROOT, tracked
 from tests.support.peer import xpl
-from tests.support.places import ROOT, tracked
 from xpl_cli.agents.review.change import change_since
 from xpl_cli.audit.engine.changed import select_changed
 from xpl_cli.basics.errors import ExitCode, UserError

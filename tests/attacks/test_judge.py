@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from tests.support.adapters import drill
+from tests.support.checkout import ROOT, copy
 from tests.support.peer import wait_until, xpl
-from tests.support.places import ROOT, copy
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.loop.process import AdapterLoop, LoopLostError, LoopRaisedError, LoopTimeouts
 from xpl_cli.evaluation.loop.request_handler import EndlessLoopError

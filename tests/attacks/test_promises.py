@@ -8,7 +8,7 @@ from pathlib import Path
 
 import yaml
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 HERE = Path(__file__).parent
 LIST = yaml.safe_load((HERE / "promises.yml").read_text("utf-8"))

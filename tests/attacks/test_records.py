@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 
 from tests.support.commands import problem, xpl
 from tests.support.examples import examples
-from tests.support.recordings.runs import Faults, rewritten, synthetic
+from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.leaderboard import comparable_runs, ranking, ranking_text
 from xpl_cli.evaluation.records import lines, records
@@ -36,7 +36,7 @@ BAD = 4
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a run of 8 episodes, all of which were played."""
-    return synthetic(tmp_path_factory.mktemp("sound") / "run", episodes=2)
+    return synthetic_run(tmp_path_factory.mktemp("sound") / "run", episodes=2)
 
 
 def _lines(folder: Path) -> list[bytes]:
@@ -216,7 +216,7 @@ AGAINST: dict[str, tuple[Callable[[Lines], Lines], str]] = {
 def test_lines_that_contradict_each_other_or_their_plan_are_refused(name: str, tmp_path: Path) -> None:
     """An episode is retried only after an infrastructure error or crash, as often as the plan allows, and ends once."""
     change, said = AGAINST[name]
-    run = rewritten(synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), change)
+    run = rewritten(synthetic_run(tmp_path / "run", episodes=2, faults=Faults(retried=0)), change)
     with pytest.raises(RecordError, match=re.escape(said)):
         records.read(run)
     assert said in records.read(run, skip=True).skipped[0]
@@ -226,14 +226,14 @@ def test_lines_that_contradict_each_other_or_their_plan_are_refused(name: str, t
 def test_an_episode_that_failed_otherwise_than_the_task_may_be_retried(line: dict[str, Any], tmp_path: Path) -> None:
     """Twice, as the plan says."""
     run = rewritten(
-        synthetic(tmp_path / "run", episodes=2, faults=Faults(retried=0)), lambda lines: _again(lines, line, line)
+        synthetic_run(tmp_path / "run", episodes=2, faults=Faults(retried=0)), lambda lines: _again(lines, line, line)
     )
     assert records.read(run).finals[7].attempt == 3
 
 
 def test_a_plan_with_a_cell_twice_is_refused(tmp_path: Path) -> None:
     """Its episodes would count twice."""
-    run = synthetic(tmp_path / "run", ("a",), ("clean",), episodes=2)
+    run = synthetic_run(tmp_path / "run", ("a",), ("clean",), episodes=2)
     cell = json.loads(_lines(run)[0])["cells"][0]
     rewritten(run, cells=[cell, {**cell, "seeds": [7]}])
     with pytest.raises(RecordError, match="line 1: cells: expected each task once in each setting"):
@@ -243,7 +243,7 @@ def test_a_plan_with_a_cell_twice_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("told", [{"steps": 0}, {"inference": {"count": 0, "seconds": 0.0}}])
 def test_success_without_a_step_or_a_request_is_not_ranked(told: dict[str, Any], tmp_path: Path) -> None:
     """Whoever did nothing cannot have succeeded; an environment may say so, but no ranking."""
-    run = synthetic(tmp_path / "run", rate=1.0, faults=Faults(policy=0, retried=0))
+    run = synthetic_run(tmp_path / "run", rate=1.0, faults=Faults(policy=0, retried=0))
     found = records.read(rewritten(run, lambda lines: [{**lines[0], **told}, *lines[1:]]))
     with pytest.raises(UserError, match=r"episode 0 succeeded, (after 0 steps|without a request)"):
         comparable_runs.gather([found])
@@ -372,7 +372,7 @@ HOSTILE = (
 def test_names_of_any_kind_break_neither_reports_nor_boards(name: str, tmp_path: Path) -> None:
     """What the schema allows as the name of a task or setting can be shown in every form."""
     told: dict[str, Any] = {"tasks": (f"t{name}", name), "settings": (f"s{name}",), "episodes": 2, "policy": name}
-    run, other = synthetic(tmp_path / "run", **told), synthetic(tmp_path / "other", **told, seed=1)
+    run, other = synthetic_run(tmp_path / "run", **told), synthetic_run(tmp_path / "other", **told, seed=1)
     commands: tuple[list[str | Path], ...] = (
         ["report", run],
         ["compare", run, other],

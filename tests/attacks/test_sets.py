@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from xpl.trajectory import TrajectoryError, open_folder
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.reading import open_set
@@ -197,7 +197,7 @@ def _named_again(place: str, count: int) -> Callable[[h5py.File], None]:
 def _one_image(path: Path, steps: int = 5000) -> None:
     """Write an episode whose images, of variable length, are all the first one: references to one place of the heap."""
     _hdf5(lambda file: file.clear())(path)
-    image = np.frombuffer(made.jpeg(made.picture(0)) + bytes(100_000), np.uint8)
+    image = np.frombuffer(datasets.jpeg(datasets.picture(0)) + bytes(100_000), np.uint8)
     with h5py.File(path / "episode_0.hdf5", "a") as file:
         file["action"] = file["observations/qpos"] = np.zeros((steps, 1), "f4")
         images = file.create_dataset("observations/images/top", (steps,), h5py.vlen_dtype(np.uint8))
@@ -211,7 +211,7 @@ def _one_image(path: Path, steps: int = 5000) -> None:
 
 def _images(*sizes: tuple[int, int]) -> Make:
     """Return what keeps an image of each size, and 100 of the last one."""
-    rows = [made.jpeg(np.zeros((*size, 3), np.uint8)) for size in sizes]
+    rows = [datasets.jpeg(np.zeros((*size, 3), np.uint8)) for size in sizes]
     rows += rows[-1:] * 100
 
     def change(file: h5py.File) -> None:
@@ -243,7 +243,7 @@ def _series(kind: Any) -> Make:
 
     def make(path: Path) -> None:
         path.mkdir()
-        made.standard(path / "episode_0.hdf5")
+        datasets.standard(path / "episode_0.hdf5")
         with h5py.File(path / "episode_0.hdf5", "a") as file:
             file.create_dataset("state/odd", (len(file["state/left_arm_joint_states"]), 6), kind)
 
@@ -251,7 +251,7 @@ def _series(kind: Any) -> Make:
 
 
 def _demos(path: Path) -> None:
-    with h5py.File(made.libero(path), "a") as file:
+    with h5py.File(datasets.libero(path), "a") as file:
         file["data/demo_9"] = file["data/demo_0"]
 
 
@@ -294,7 +294,7 @@ HDF5: dict[str, Make] = {
 
 def _info(**values: Any) -> Make:
     def make(path: Path) -> None:
-        info = made.lerobot_v21(path) / "meta" / "info.json"
+        info = datasets.lerobot_v21(path) / "meta" / "info.json"
         info.write_text(json.dumps({**json.loads(info.read_text()), **values}))
 
     return make
@@ -302,7 +302,7 @@ def _info(**values: Any) -> Make:
 
 def _episode(**values: Any) -> Make:
     def make(path: Path) -> None:
-        listed = made.lerobot_v21(path) / "meta" / "episodes.jsonl"
+        listed = datasets.lerobot_v21(path) / "meta" / "episodes.jsonl"
         first, *others = listed.read_text().splitlines()
         listed.write_text("\n".join([json.dumps({**json.loads(first), **values}), *others]))
 
@@ -322,7 +322,7 @@ def _piped(which: str, write: Make) -> Make:
 
 
 def _without_a_column(path: Path) -> None:
-    file = min(made.lerobot_v21(path).glob("data/*/*.parquet"))
+    file = min(datasets.lerobot_v21(path).glob("data/*/*.parquet"))
     pq.write_table(pq.read_table(file).drop(["action"]), file)
 
 
@@ -330,7 +330,7 @@ def _listed(name: str, value: Callable[[int], int]) -> Make:
     """Return what changes a column of v3.0's table of episodes."""
 
     def make(path: Path) -> None:
-        made.lerobot_v30(path)
+        datasets.lerobot_v30(path)
         file = min(path.glob("meta/episodes/*/*.parquet"))
         table = pq.read_table(file)
         column = pa.array([value(number) for number in range(len(table))])
@@ -340,18 +340,18 @@ def _listed(name: str, value: Callable[[int], int]) -> Make:
 
 
 def _endless_list(path: Path) -> None:
-    made.lerobot_v30(path)
+    datasets.lerobot_v30(path)
     file = min(path.glob("meta/episodes/*/*.parquet"))
     pq.write_table(pq.read_table(file).take([0] * 100_000), file)
 
 
 def _twice(path: Path) -> None:
-    listed = made.lerobot_v21(path) / "meta" / "episodes.jsonl"
+    listed = datasets.lerobot_v21(path) / "meta" / "episodes.jsonl"
     listed.write_text(listed.read_text() * 2)
 
 
 def _text(name: str, text: str) -> Make:
-    return lambda path: (made.lerobot_v21(path) / "meta" / name).write_text(text)
+    return lambda path: (datasets.lerobot_v21(path) / "meta" / name).write_text(text)
 
 
 CAMERA = "observation.images.front"
@@ -378,9 +378,9 @@ LEROBOT: dict[str, Make] = {
     "all of one file": _info(data_path="data/chunk-000/episode_000001.parquet"),
     "a list of 100,000 in no bytes": _endless_list,
     "a column is missing": _without_a_column,
-    "a pipe of numbers": _piped("data/*/*.parquet", made.lerobot_v21),
-    "a pipe of episodes": _piped("meta/episodes/*/*.parquet", made.lerobot_v30),
-    "a pipe of images": _piped("videos/**/*.mp4", made.lerobot_v21),
+    "a pipe of numbers": _piped("data/*/*.parquet", datasets.lerobot_v21),
+    "a pipe of episodes": _piped("meta/episodes/*/*.parquet", datasets.lerobot_v30),
+    "a pipe of images": _piped("videos/**/*.mp4", datasets.lerobot_v21),
 }
 
 
@@ -416,7 +416,7 @@ def test_a_set_that_lies_is_one_error_in_bounded_memory(tmp_path: Path, name: st
 
 def test_an_index_beside_the_files_changes_no_length(tmp_path: Path) -> None:
     """The set tells the true length; whoever believes the index gets an error with the first step."""
-    made.standard(tmp_path / "episode_0.hdf5")
+    datasets.standard(tmp_path / "episode_0.hdf5")
     line = {"file": "episode_0.hdf5", "bytes": (tmp_path / "episode_0.hdf5").stat().st_size, "steps": 40}
     (tmp_path / "index.jsonl").write_text(json.dumps(line) + "\n")
     assert open_set(tmp_path)[0].length == 4
@@ -425,14 +425,14 @@ def test_an_index_beside_the_files_changes_no_length(tmp_path: Path) -> None:
 
 
 def test_a_video_may_say_what_is_no_text(tmp_path: Path) -> None:
-    path = made.lerobot_v21(tmp_path / "set")
+    path = datasets.lerobot_v21(tmp_path / "set")
     for file in path.glob("videos/**/*.mp4"):
         file.write_bytes(file.read_bytes().replace(b"Lavf", b"\xff\xfeav"))
     everything(path)
 
 
 def test_sentences_beside_that_are_none_are_one_error(tmp_path: Path) -> None:
-    path = made.robotwin(tmp_path / "set")
+    path = datasets.robotwin(tmp_path / "set")
     for told in (5, {"seen": 5}, [5], {"unseen": [[]]}):
         (path / "instructions" / "episode0.json").write_text(json.dumps(told))
         with pytest.raises(DataError, match=r"instructions/episode0\.json"):

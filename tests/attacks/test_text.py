@@ -32,7 +32,7 @@ from xpl_cli.basics import failures, pages, untrusted
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.formats import REPORTS
 from xpl_cli.evaluation.report import episodes, markdown
-from xpl_cli.packages.targets import Target
+from xpl_cli.packages.targets import AuditTarget
 
 EVIL = (
     "\x1b[31m\x1b]0;title\x07",
@@ -98,7 +98,7 @@ def review(text: str) -> str:
     context = ReportContext(here=Path("/nowhere"))
     (entry,) = listed_findings([report], context)
     remark = ReviewFinding(entry, (), harm("XPL-PKG-4")[1], None)
-    target = Target(Path("/nowhere") / "policy/x", "policy", report.path)
+    target = AuditTarget(Path("/nowhere") / "policy/x", "policy", report.path)
     change = BranchChange(text, "0" * 40, (ChangedPackage(target, report.path, 1, "added"),), (text,), ())
     return page.render(Review(change, (report,), (remark,) * 12, None, context))
 

@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl import Client
 from xpl.checkpoint import resolve
 from xpl.manifest import Checkpoint, CheckpointFile
@@ -258,7 +258,7 @@ def test_an_authors_own_checkpoint_is_not_replaced(given: Path, tmp_path: Path) 
     (subject / "checkpoints" / "demo").mkdir(parents=True)
     done = run("fetch", tmp_path, "--json")
     assert (done.returncode, json.loads(done.stdout)["checkpoints"][0]["link"]) == (0, None)
-    assert "it stays" in done.stderr
+    assert "is kept" in done.stderr
     assert not (subject / "checkpoints" / "demo").is_symlink()
     (subject / "checkpoints" / "demo").rmdir()
     (subject / "checkpoints" / "demo").write_bytes(WEIGHTS)

@@ -151,7 +151,7 @@ def test_a_folder_of_a_repository(hub: str, tmp_path: Path) -> None:
 def test_what_the_hub_does_not_have_is_one_sentence(hub: str, tmp_path: Path) -> None:
     """A commit that is not there, a file that is not there; without a traceback."""
     done = fetch(tmp_path, hub, revision="f" * 40, sha256="0" * 64)
-    assert (done.returncode, "cannot be had from the hub" in done.stderr) == (ExitCode.NOT_RUN, True)
+    assert (done.returncode, "cannot be downloaded from the hub" in done.stderr) == (ExitCode.NOT_RUN, True)
     assert "Traceback" not in done.stderr
     done = fetch(tmp_path, hub, files=[{"path": "missing.bin", "sha256": "0" * 64}])
     assert (done.returncode, "has no files" in done.stderr) == (ExitCode.NOT_FOUND, True)

@@ -123,7 +123,7 @@ def test_what_the_manifest_says_is_in_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("environment", [{"manager": "path", "python": "/x"}, {"manager": "conda", "lock": "c.yml"}])
 def test_what_a_container_cannot_have_is_refused(environment: dict[str, Any], tmp_path: Path) -> None:
     """An interpreter of this machine is not there."""
-    with pytest.raises(UserError, match="cannot make"):
+    with pytest.raises(UserError, match="cannot create"):
         container.recipe(adapter(tmp_path, environment))
 
 

@@ -17,9 +17,9 @@ from typing import Any
 import pytest
 
 from tests.support import forked
+from tests.support.checkout import ROOT
 from tests.support.outside.wheels import numpy_wheel, pinned, wheel
 from tests.support.peer import DEADLINE_S
-from tests.support.places import ROOT
 from xpl import Client
 from xpl.manifest import PythonEnvironment
 from xpl_cli.basics.errors import ExitCode, NotFoundError, UserError
@@ -287,7 +287,7 @@ def test_a_change_is_noticed_and_replaces(conda: Path, tmp_path: Path, capfd: py
 
 def test_a_failure_leaves_the_old_one_in_use(conda: Path, tmp_path: Path) -> None:
     first = environments.install(_conda_plan(tmp_path, "numpy"))
-    for lock, message in {"broken": "cannot be made", "nothing": "numpy"}.items():
+    for lock, message in {"broken": "cannot be created", "nothing": "numpy"}.items():
         with pytest.raises(UserError, match=message) as caught:
             environments.install(_conda_plan(tmp_path, lock))
         assert caught.value.code == ExitCode.NOT_RUN
@@ -383,7 +383,7 @@ def test_what_others_made_is_not_touched(tmp_path: Path) -> None:
     (folder / ".venv").mkdir()
     (folder / ".venv" / "mine").touch()
     done = run(cwd=tmp_path)
-    assert (done.returncode, "did not make it" in done.stderr) == (ExitCode.USAGE, True)
+    assert (done.returncode, "did not create it" in done.stderr) == (ExitCode.USAGE, True)
     assert [path.name for path in (folder / ".venv").iterdir()] == ["mine"]
 
 

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from tests.support.adapters.learned import PYTHON, needed, small
+from tests.support.checkout import ROOT, copy
 from tests.support.killable import Server
 from tests.support.peer import xpl
-from tests.support.places import ROOT, copy
 from xpl import Client, training
 from xpl.trajectory import Writer
 from xpl_cli.basics.errors import ExitCode

@@ -17,8 +17,8 @@ import pytest
 import yaml
 
 from tests.docs.test_audit import blocks, commands
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.lifecycle.checkpoints.specification import declared_checkpoints

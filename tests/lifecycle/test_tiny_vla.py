@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl.worker.loading import load_model_class
 
 POLICY = ROOT / "policy" / "Tiny_VLA"

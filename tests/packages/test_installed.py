@@ -82,7 +82,7 @@ def test_robots_of_a_package_may_be_like_one_another(install: Install) -> None:
     install("bringer", "[xpl.robots]\nbringer = bringer_pkg.robots\n", files)
     assert robots.canonical("other_arm") == "other_arm"
     read = robots.entries()["other_arm"]
-    packages.learn()
+    packages.register_robots()
     assert robots.entries()["other_arm"] == read
     assert read["arm"]["dof"] == 1
 
@@ -97,7 +97,7 @@ def test_robots_of_a_package_may_be_like_one_another(install: Install) -> None:
 )
 def test_a_robot_that_is_none_names_the_distribution(install: Install, text: str, told: str) -> None:
     install("bringer", "[xpl.robots]\nb = bringer_pkg.robots\n", {"bringer_pkg/robots/one_arm.yml": text})
-    for learn in (packages.learn, lambda: robots.canonical("nobody")):
+    for learn in (packages.register_robots, lambda: robots.canonical("nobody")):
         with pytest.raises(EntryPointError, match=rf"of bringer 1.0 cannot be used: .*{told}"):
             learn()
 
@@ -107,4 +107,4 @@ def test_two_packages_with_one_robot_are_told(install: Install) -> None:
         text = WHOLE.replace("An arm.", f"An arm of {name}.").replace("dof: 1", f"dof: {len(name)}")
         install(name, f"[xpl.robots]\n{name} = {name}_pkg.robots\n", {f"{name}_pkg/robots/one_arm.yml": text})
     with pytest.raises(EntryPointError, match=r"of (first|second) 1.0 cannot be used: .* of (first|second) 1.0"):
-        packages.learn()
+        packages.register_robots()

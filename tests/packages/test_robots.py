@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl import get_embodiment, robots
 from xpl.embodiment import UnknownEmbodimentError
 from xpl.robots import registry
@@ -51,7 +51,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_a_robot_of_the_project_is_found_by_all_its_names(project: Path) -> None:
     """With its dimensions and limits; processes that are started know it, too, without YAML."""
-    projects.learn()
+    projects.register_robots()
     robot = get_embodiment("desk")
     assert (robot.name, robot.arms[0].dof, robots.origin("desk_arm")) == ("desk_arm", 2, "embodiments/desk_arm.yml")
     assert robot.dims("joint") == {"arm_joint_state": 2, "ee_joint_state": 1}
@@ -100,7 +100,7 @@ def test_a_package_brings_its_own(project: Path) -> None:
     (project / "elsewhere" / "envs" / "Room" / "embodiments").mkdir(parents=True)
     file = project / "elsewhere" / "envs" / "Room" / "embodiments" / "wall_arm.yml"
     file.write_text("name: wall_arm\nlike: so101\narms: [left, right]\narm: { home: [0, 0, 0, 0, 0] }\n")
-    projects.learn(file.parent.parent)
+    projects.register_robots(file.parent.parent)
     assert get_embodiment("wall_arm").arms[1].home is not None
     assert get_embodiment("wall_arm").arms[1].joint_names == get_embodiment("so101").arms[0].joint_names
 
@@ -118,7 +118,7 @@ def test_a_name_that_is_taken_is_refused(name: str, change: dict[str, Any], said
     entry = {**yaml.safe_load(ARM), "aliases": [], "name": name, **change}
     (project / "embodiments" / f"{name}.yml").write_text(json.dumps(entry))
     with pytest.raises(UserError, match=said) as caught:
-        projects.learn()
+        projects.register_robots()
     assert caught.value.code == ExitCode.USAGE
 
 
@@ -143,7 +143,7 @@ def test_a_file_that_is_wrong_is_told_with_its_line(old: str, new: str, said: st
     file = project / "embodiments" / "desk_arm.yml"
     file.write_text(ARM.replace(old, new))
     with pytest.raises(ManifestError, match=said):
-        projects.learn()
+        projects.register_robots()
 
 
 @pytest.mark.parametrize(
@@ -166,7 +166,7 @@ def test_robots_that_are_too_many_or_too_long_are_refused(
         told = {"name": name, "arms": ["single"], **entry}
         (project / "embodiments" / f"{name}.yml").write_text(json.dumps(told))
     with pytest.raises(UserError, match=said) as caught:
-        projects.learn()
+        projects.register_robots()
     assert caught.value.code == ExitCode.USAGE
     assert not set(registry._offered) & set(robots)
 
@@ -182,18 +182,18 @@ def test_the_command_that_checks_files_tells_it(project: Path) -> None:
 
 def test_a_recorded_run_describes_its_robot(project: Path) -> None:
     """Who plays it again meets the same robot, or is told that it is another one."""
-    projects.learn()
-    config = projects.described("desk_arm")
-    assert projects.described("so101") == {}
+    projects.register_robots()
+    config = projects.recorded_description("desk_arm")
+    assert projects.recorded_description("so101") == {}
     registry._offered.clear()
-    projects.meet(config, "run 0123")
+    projects.register_recorded(config, "run 0123")
     assert get_embodiment("desk_arm").arms[0].dof == 2
     other = {projects.DESCRIPTION: {**config[projects.DESCRIPTION], "description": "another"}}
     with pytest.raises(UserError, match="another robot here than in run 0123"):
-        projects.meet(other, "run 0123")
+        projects.register_recorded(other, "run 0123")
     for strange in ([], {"name": "x", "aliases": 3}, {"name": "x", "like": 4}, {"name": "so101", "like": "franka"}):
         with pytest.raises(UserError):
-            projects.meet({projects.DESCRIPTION: strange}, "run 0123")
+            projects.register_recorded({projects.DESCRIPTION: strange}, "run 0123")
 
 
 def test_a_file_can_be_read_without_the_tool(project: Path) -> None:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
+from tests.support.checkout import copy
 from tests.support.killable import Server
 from tests.support.peer import xpl
-from tests.support.places import copy
 from xpl import variants
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import package

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S
-from tests.support.places import ROOT
 
 UV = """#!/bin/bash
 # Stands for uv: notes its arguments; `uv venv ... FOLDER` makes the folder's interpreter.

@@ -18,8 +18,8 @@ import pytest
 import yaml
 
 from tests.support import forked
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 
 ACTION: dict[str, Any] = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))

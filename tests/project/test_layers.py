@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import grimp
 
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping

@@ -24,8 +24,8 @@ import pytest
 from packaging.requirements import Requirement
 
 import xpl
+from tests.support.checkout import ROOT
 from tests.support.outside.wheels import numpy_wheel
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle import sdk_wheel
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 import xpl
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

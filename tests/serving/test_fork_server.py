@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S, MARK, processes, wait_until
-from tests.support.places import ROOT
 from xpl_cli import __version__
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving import fork_server

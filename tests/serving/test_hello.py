@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.outside.stand_in import standing_in
+from tests.support.outside.fake_server import fake_server
 from tests.support.peer import xpl
 from xpl import Client
 from xpl.client import AsyncClient, ClientError, EnvironmentMismatchError, PolicyServerError
@@ -128,7 +128,7 @@ def test_the_client_compares_where_the_server_does_not() -> None:
     def answer(frame: Frame) -> Frame | None:
         return frame.answer("hello_ack", payload) if frame.message_type == "hello" else None
 
-    with standing_in(answer) as (url, requests):
+    with fake_server(answer) as (url, requests):
         with pytest.raises(EnvironmentMismatchError) as refusal:
             Client(url, environment=FITTING)
         assert [one["field"] for one in refusal.value.details["differences"]] == ["embodiment", "action_type"]

@@ -18,9 +18,9 @@ import typer
 from jsonschema import Draft202012Validator
 from typer.testing import CliRunner
 
-from tests.support.places import ROOT, tracked
-from tests.support.recordings.runs import synthetic
-from tests.support.told import Command, fault
+from tests.support.checkout import ROOT, tracked
+from tests.support.quoted_commands import QuotedCommand, command_error
+from tests.support.recordings.runs import synthetic_run
 from xpl_cli import main
 from xpl_cli.basics import console, failures
 from xpl_cli.basics.errors import ExitCode, UserError, no_such, one_of
@@ -141,8 +141,10 @@ def _answer(*words: str) -> dict[str, Any]:
     path = next(path for path in COMMANDS if shlex.split(path)[1:] == list(words)[: len(path.split()) - 1])
     assert document["schema"] in answers.of_command(path)
     assert answers.problems(document) == []
-    told = [Command(tuple(shlex.split(line)[1:]), exact=True) for line in document["next"] if line.startswith("xpl ")]
-    assert [said for command in told if (said := fault(command))] == []
+    told = [
+        QuotedCommand(tuple(shlex.split(line)[1:]), exact=True) for line in document["next"] if line.startswith("xpl ")
+    ]
+    assert [said for command in told if (said := command_error(command))] == []
     return document
 
 
@@ -185,8 +187,8 @@ def test_answers_are_what_the_list_says(workspace: Path, monkeypatch: pytest.Mon
 
 def test_answers_about_recorded_runs_are_what_the_list_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    synthetic(Path("runs/foo"), episodes=4)
-    synthetic(Path("runs/bar"), episodes=4, seed=1, policy="Bar", played=9)
+    synthetic_run(Path("runs/foo"), episodes=4)
+    synthetic_run(Path("runs/bar"), episodes=4, seed=1, policy="Bar", played=9)
     assert _answer("compare", "runs/foo", "runs/bar")["next"] == ["xpl report runs/foo runs/bar"]
     assert _answer("leaderboard", "runs/foo", "runs/bar", "--anyway")["next"] == ["xpl compare runs/foo runs/bar"]
     _answer("report", "runs/foo")

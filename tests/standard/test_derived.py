@@ -13,8 +13,8 @@ import pytest
 import yaml
 from typer.main import get_command
 
+from tests.support.checkout import ROOT, tracked
 from tests.support.commands import xpl
-from tests.support.places import ROOT, tracked
 from xpl_cli.audit.rules import registry
 from xpl_cli.derived import compiler
 from xpl_cli.main import app
@@ -48,7 +48,7 @@ def test_what_is_asked_of_cameras_and_gripper(cameras: Any, gripper: Any, fits: 
 
 def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
     """`xpl spec compile` writes the SDK's constants and the reference pages."""
-    derived = compiler.derived(get_command(app))
+    derived = compiler.generated_files(get_command(app))
     assert [name for name, content in derived.items() if (ROOT / name).read_bytes() != content] == []
     pages = {path.relative_to(ROOT).as_posix() for path in tracked(f"{compiler.REFERENCE}/*")}
     assert pages
@@ -56,7 +56,7 @@ def test_everything_that_follows_from_the_standard_is_up_to_date() -> None:
 
 
 def test_the_reference_tells_all_of_the_standard() -> None:
-    pages = {Path(name).stem: text.decode() for name, text in compiler.derived(get_command(app)).items()}
+    pages = {Path(name).stem: text.decode() for name, text in compiler.generated_files(get_command(app)).items()}
     assert all(f"| {name} |" in pages["requirements"] for name in spec.requirements())
     assert all(f"| `{name}` |" in pages["embodiments"] for name in robots.entries())
     for name in schemas.MANIFESTS:

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.adapters.rules import made_adapter
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
 from tests.support.examples import examples
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.yaml import text as yaml_text
 from xpl_cli.packages import manifests, package

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support import commands, forked
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 from xpl import _spec as sdk
 from xpl.robots import shipped
 from xpl_cli.basics.errors import NotFoundError
@@ -184,7 +184,7 @@ def test_the_standard_has_no_fault() -> None:
 def _forget() -> None:
     from xpl_cli.standard import validate
 
-    parts = (spec.schema, spec.data, spec.requirements, robots.entries, robots.words)
+    parts = (spec.schema, spec.data, spec.requirements, robots.entries, robots.aliases)
     for cached in (*parts, validate.registry, validate._validator):
         cached.cache_clear()
 

@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all, whatever interrupts the writing."""
+"""Atomic writes of files and folders."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _RENAME_EXCHANGE = 2
 
 
 def write_file(path: Path, content: bytes, mode: int = 0o644) -> None:
-    """Write a file; whoever reads `path` meanwhile sees the old content or the new one, never a part."""
+    """Write a file; readers see the old content or the new one, never a part."""
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     partial = Path(name)
     try:
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
-        partial.chmod(mode)  # mkstemp makes files private
+        partial.chmod(mode)  # mkstemp creates private files
         partial.replace(path)
     except BaseException:
         partial.unlink(missing_ok=True)
@@ -34,15 +34,15 @@ def write_file(path: Path, content: bytes, mode: int = 0o644) -> None:
 
 @contextmanager
 def replaced_folder(target: Path) -> Iterator[Path]:
-    """Give an empty folder to fill, which takes the place of `target` when the block ends without an exception.
+    """Yield an empty folder, which replaces `target` when the block ends without an exception.
 
-    It lies beside `target`, because only within one file system can a folder be put in place in one step. Parents that
-    are missing are made, and removed again if the block fails.
+    It lies beside `target`, because an atomic rename needs the same file system. Missing parents are created, and
+    removed again if the block fails.
     """
     made = _make_parents(target.parent)
     staging = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:64]}."))
     try:
-        staging.chmod(0o777 & ~_umask())  # mkdtemp makes folders private
+        staging.chmod(0o777 & ~_umask())  # mkdtemp creates private folders
         yield staging
         _put(staging, target)
         made.clear()
@@ -50,7 +50,7 @@ def replaced_folder(target: Path) -> Iterator[Path]:
         # After an exchange this is what `target` held before.
         shutil.rmtree(staging, ignore_errors=True)
         for parent in made:
-            with suppress(OSError):  # somebody else uses it by now
+            with suppress(OSError):  # another process uses it by now
                 parent.rmdir()
 
 
@@ -75,14 +75,14 @@ def _link(source: Path, destination: Path) -> None:
     try:
         os.link(source, destination, follow_symlinks=False)
     except OSError as error:
-        # Not every file system has hard links, and not every file may be linked by everybody.
+        # Not every file system has hard links, and not every user may link every file.
         if error.errno not in (errno.EPERM, errno.EACCES, errno.EMLINK, errno.ENOTSUP):
             raise
         shutil.copy2(source, destination, follow_symlinks=False)
 
 
 def _make_parents(folder: Path) -> list[Path]:
-    """Make the folder and its parents; return those that were missing, innermost first."""
+    """Create the folder and its parents; return the created ones, innermost first."""
     missing = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     return missing
@@ -95,7 +95,7 @@ def _put(staging: Path, target: Path) -> None:
         return
     if _exchange(staging, target):
         return
-    # No exchange here: two renames, the first undone if the second fails.
+    # No atomic exchange here: two renames, the first is undone if the second fails.
     aside = Path(tempfile.mkdtemp(dir=target.parent, prefix=f".{target.name[:64]}.")) / target.name
     try:
         target.rename(aside)
@@ -109,7 +109,7 @@ def _put(staging: Path, target: Path) -> None:
 
 
 def _exchange(one: Path, other: Path) -> bool:
-    """Exchange two paths in one step; false where the system or the file system cannot."""
+    """Exchange two paths atomically; False where the system or the file system cannot."""
     if not sys.platform.startswith("linux"):
         return False
     import ctypes

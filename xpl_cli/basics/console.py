@@ -1,7 +1,7 @@
-r"""Output: data on stdout or in the file that was asked for, everything else on stderr.
+r"""Output: data on stdout or in the file of `--output`, everything else on stderr.
 
-Names, messages and evidence may come from anybody. What would steer a terminal, turn the direction of writing or cannot
-be encoded is written out as `\u001b`, in everything that passes here; that form is also valid in JSON.
+Names, messages and evidence are untrusted. Control characters, direction marks and characters without encoding are
+escaped in all output, such as `\u001b`; that form is also valid in JSON.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
 
 
 class _AnswerOutput:
-    """Where data goes, and whether any went.
+    """The destination of data, and whether there was any.
 
     Attributes:
-        stream: takes data; None for stdout, as it is at that time.
+        stream: gets the data; None for the current stdout.
         is_used: whether there was any.
     """
 
@@ -41,10 +41,10 @@ _output = _AnswerOutput()
 
 
 def open_streams() -> None:
-    """Prepare the standard streams of this process for whatever is written there.
+    """Prepare the standard streams of this process.
 
-    Those that are closed lead nowhere: otherwise the next file or connection would get their number, and what is
-    printed. What the locale has no letters for is written out as in JSON.
+    Closed streams are opened on /dev/null: otherwise the next file or connection would get their number, and the
+    output. Characters that the locale cannot encode are escaped as in JSON.
     """
     for number, name in enumerate(("stdin", "stdout", "stderr")):
         if getattr(sys, name) is None:
@@ -55,7 +55,7 @@ def open_streams() -> None:
             setattr(sys, name, open(number, "r" if name == "stdin" else "w", encoding="utf-8"))  # noqa: PTH123, SIM115
     codecs.register_error("written-out", _escape_unencodable)
     if isinstance(sys.stdout, TextIOWrapper):
-        with contextlib.suppress(OSError):  # what lay below it when it was made was exchanged for something else
+        with contextlib.suppress(OSError):  # its buffer was replaced
             sys.stdout.reconfigure(errors="written-out")
 
 
@@ -63,17 +63,17 @@ def _escape_unencodable(error: UnicodeError) -> tuple[str, int]:
     if not isinstance(error, UnicodeEncodeError):
         raise error
     pairs = error.object[error.start : error.end].encode("utf-16-be", "surrogatepass")
-    units = (int.from_bytes(pairs[place : place + 2], "big") for place in range(0, len(pairs), 2))
+    units = (int.from_bytes(pairs[index : index + 2], "big") for index in range(0, len(pairs), 2))
     return "".join(f"\\u{unit:04x}" for unit in units), error.end
 
 
 def data(text: str) -> None:
-    """Write an answer."""
+    """Write data to the output."""
     data_with_colours(escape_controls(text))
 
 
 def data_with_colours(text: str) -> None:
-    """Write an answer with colours for a terminal; what strangers gave to it has to be harmless already."""
+    """Write data with terminal colours; untrusted text in it has to be escaped already."""
     _output.is_used = True
     stream = _stream()
     try:
@@ -82,9 +82,9 @@ def data_with_colours(text: str) -> None:
     except BrokenPipeError:
         raise
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what was not written is not tried again at the end
-        told = f"the answer cannot be written to standard output: {error.strerror}"
-        raise UserError(told, code=ExitCode.NOT_RUN) from None
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the rest is not written again at exit
+        message = f"the answer cannot be written to standard output: {error.strerror}"
+        raise UserError(message, code=ExitCode.NOT_RUN) from None
 
 
 def data_json(value: object) -> None:
@@ -98,13 +98,13 @@ def answer(schema: str, body: Mapping[str, object], following: Sequence[str] = (
     Args:
         schema: its name in `xpl answers`.
         body: all further keys.
-        following: exact commands that are worth running next.
+        following: exact next commands.
     """
     data_json({"schema": schema, **body, "next": list(following)})
 
 
 def rich(renderable: RenderableType) -> None:
-    """Write an answer for people: in colour on a terminal, plain and unwrapped elsewhere."""
+    """Write a renderable: in colour on a terminal, plain and unwrapped elsewhere."""
     from rich.console import Console
 
     _output.is_used = True
@@ -114,7 +114,7 @@ def rich(renderable: RenderableType) -> None:
 
 
 def note(text: str) -> None:
-    """Write a remark to stderr."""
+    """Write a note to stderr."""
     sys.stderr.write(f"{without_workflow_commands(escape_controls(text))}\n")
     sys.stderr.flush()
 
@@ -129,7 +129,7 @@ def output_to(path: Path | None) -> Iterator[None]:
     """Write the data of a `with` block to a file, whole or not at all; None leaves it on stdout.
 
     Raises:
-        UserError: before anything is done, if no file can be written there; after it, if it cannot after all.
+        UserError: at the start if the file cannot be written; at the end if writing fails.
     """
     if path is None:
         yield
@@ -139,18 +139,18 @@ def output_to(path: Path | None) -> Iterator[None]:
     from xpl_cli.basics import output
 
     output.check(path)
-    _output.stream = kept = StringIO()
-    end: typer.Exit | None = None
+    _output.stream = buffer = StringIO()
+    exit_request: typer.Exit | None = None
     try:
         yield
-    except typer.Exit as exited:  # an end like any other: findings are data
-        end = exited
+    except typer.Exit as exited:  # an exit code does not discard the data
+        exit_request = exited
     finally:
         _output.stream = None
-    output.write(path, kept.getvalue())
+    output.write(path, buffer.getvalue())
     note(f"wrote {path}")
-    if end is not None:
-        raise end
+    if exit_request is not None:
+        raise exit_request
 
 
 def _stream() -> TextIO:

@@ -1,4 +1,4 @@
-"""How commands end: their exit codes in one sentence, for help texts, pages and agents."""
+"""Exit codes of commands in one sentence, for help texts, pages and agents."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _MEANINGS: Final = "xpl_meanings"
 
 
 def exit_codes(**meanings: str) -> Callable[[_Function], _Function]:
-    """Say of a command what its exit codes mean, where that can be told more exactly than of all commands.
+    """Declare the meanings of a command's exit codes, where they are more specific than the common ones.
 
     Args:
-        meanings: by the names of `ExitCode` in small letters.
+        meanings: by the lower-case names of `ExitCode`.
     """
 
     def declare(function: _Function) -> _Function:
@@ -27,12 +27,12 @@ def exit_codes(**meanings: str) -> Callable[[_Function], _Function]:
 
 
 def describe_exit_codes(function: object = None) -> str:
-    """Return the sentence on exit codes of a command, of all commands by default."""
+    """Return the sentence on the exit codes of a command; by default, of all commands."""
     own = own_meanings(function)
     return f"Exit codes: {', '.join(f'{int(code)} {own.get(code, code.meaning)}' for code in ExitCode)}."
 
 
 def own_meanings(function: object) -> dict[ExitCode, str]:
-    """Return what a command says of its exit codes by itself."""
+    """Return the meanings that a command declares for its exit codes."""
     declared: dict[ExitCode, str] = getattr(function, _MEANINGS, {})
     return declared

@@ -1,6 +1,6 @@
-"""What to type where a library is missing that only some commands need: the library itself, and no name of this tool.
+"""Install commands for optional libraries, by the libraries' own names.
 
-An extra of the tool by its bare name (`xpl-cli[hub]`) would ask an index for a name that it need not have.
+The tool's own name with an extra (`xpl-cli[hub]`) need not exist on the user's package index.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ _CHECKOUT = Path(__file__).parents[2]
 
 
 def how_to_install(extra: str) -> str:
-    """Return the command that installs what an extra of this tool holds.
+    """Return the command that installs the libraries of an extra.
 
     Args:
         extra: its name in pyproject.toml.

@@ -1,4 +1,4 @@
-"""How a command ends that cannot do what it was asked: one sentence and a hint, and for programs `xpl.error/1`."""
+"""Reports of failed commands: one sentence and a hint for users, and `xpl.error/1` for programs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def wants_json(arguments: Sequence[str]) -> bool:
 
 
 def document(error: UserError) -> dict[str, object]:
-    """Return what a command with --json answers instead of its result."""
+    """Return the JSON answer for an error."""
     return {
         "schema": SCHEMA,
         "kind": error.code.name.lower(),
@@ -43,10 +43,10 @@ def document(error: UserError) -> dict[str, object]:
 
 
 def from_usage_error(error: Any) -> UserError:
-    """Return a command line that was not understood as an error of ours, with what it could have been.
+    """Convert a usage error of the parser, with suggestions.
 
     Args:
-        error: the parser's `UsageError`; typer brings its own, or takes that of click.
+        error: the parser's `UsageError`; typer's own or click's.
     """
     context = error.ctx
     path = "xpl" if context is None else context.command_path
@@ -60,28 +60,28 @@ def from_usage_error(error: Any) -> UserError:
 
 
 def from_exception(error: Exception) -> UserError:
-    """Return what a command did not foresee as an error: of the system, of an installed package, or our own fault."""
+    """Convert an unexpected exception: an error of the system, of an installed package, or a fault of xpl."""
     from xpl.registry import EntryPointError
 
     if isinstance(error, EntryPointError):
-        hint = "the fault is the named package's: mend or uninstall it"
+        hint = "the fault is in the named package: fix or uninstall it"
         return UserError(str(error), hint=hint, code=ExitCode.NOT_RUN)
     return from_os_error(error) if isinstance(error, OSError) else from_fault(error)
 
 
 def from_os_error(error: OSError) -> UserError:
-    """Return what the system refused, such as a file, a port or memory, as an error."""
+    """Convert an error of the system, such as for a file, a port or memory."""
     reason = error.strerror or str(error) or type(error).__name__
     where = "" if error.filename is None else f"{error.filename!s:.200}: "
     return UserError(
         f"{where}{reason[:1].lower()}{reason[1:]}",
-        hint="XPL_DEBUG=1 shows where it was asked for",
+        hint="XPL_DEBUG=1 shows the traceback",
         code=ExitCode.NOT_RUN,
     )
 
 
 def from_fault(error: Exception) -> UserError:
-    """Return a fault of the tool itself as an error."""
+    """Convert a fault of xpl itself."""
     return UserError(
         f"internal error: {type(error).__name__}: {error}",
         hint="this is a fault of xpl; run again with XPL_DEBUG=1 for the traceback and report it",
@@ -90,11 +90,13 @@ def from_fault(error: Exception) -> UserError:
 
 
 def format_error(error: UserError) -> str:
-    """Return the error as people read it."""
+    """Return an error as text for users."""
     head = "" if error.code in (ExitCode.INTERNAL, ExitCode.INTERRUPTED) else "error: "
     hint = f"Hint: {error.hint}\n" if error.hint else ""
-    told = _CONTINUED.sub("\n  ", str(error))  # what was given may hold line ends, and no line of it is one of ours
-    return f"{head}{told}\n{hint}"
+    message = _CONTINUED.sub(
+        "\n  ", str(error)
+    )  # untrusted line ends are indented, so that no line looks like one of xpl
+    return f"{head}{message}\n{hint}"
 
 
 def _options(context: Any) -> list[str]:
@@ -102,6 +104,6 @@ def _options(context: Any) -> list[str]:
 
 
 def _following(hint: str | None) -> list[str]:
-    """Return the commands that a hint offers, without those that name something in capitals to be filled in."""
-    found = [] if hint is None else _COMMAND.findall(hint)
-    return [command for command in found if not any(word.isupper() and word.isalpha() for word in command.split())]
+    """Return the commands in a hint, without those that have placeholders in capitals."""
+    commands = [] if hint is None else _COMMAND.findall(hint)
+    return [command for command in commands if not any(word.isupper() and word.isalpha() for word in command.split())]

@@ -1,4 +1,4 @@
-"""Files that others wrote, read without waiting for anybody and never beyond a bound."""
+"""Read untrusted files without blocking and up to a size limit."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MOST_BYTES = 256 << 20
-"""What no file that people or tools write for us comes near, and what a machine can still hold in memory."""
+"""Far above the size of expected files, and still small enough for memory."""
 
 _PATIENCE_S = 5.0
 _LEAST = 1 << 16
@@ -28,14 +28,14 @@ _KINDS = (
 
 
 def open_regular(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
-    """Open a regular file for reading; whatever else the path leads to is refused, and nothing waits for a writer.
+    """Open a regular file for reading, without blocking; other kinds of files are refused.
 
     Args:
         path: the file.
-        most: bytes that it may hold.
+        most: largest size, bytes.
 
     Raises:
-        OSError: it cannot be opened, is no regular file, or is too large; `strerror` is fit for a sentence.
+        OSError: if it cannot be opened, is no regular file, or is too large; `strerror` fits into a sentence.
     """
     descriptor = _descriptor(path)
     stream = os.fdopen(descriptor, "rb") if is_regular(descriptor) else None
@@ -54,21 +54,21 @@ def open_regular(path: Path, most: int = MOST_BYTES) -> IO[bytes]:
 
 
 def read_regular(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Return what a regular file holds.
+    """Return the content of a regular file.
 
     Raises:
-        OSError: as `opened`.
+        OSError: as `open_regular`.
     """
     with open_regular(path, most) as stream:
-        # Not `most`, which would be taken at once however small the file is. Those of /proc say that they are empty.
+        # Not `most`, which would be allocated at once. Files of /proc report size 0.
         return stream.read(min(most, max(os.fstat(stream.fileno()).st_size, _LEAST)))
 
 
 def read_user_file(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Return what a file holds that the user named: a regular one, or a pipe, as `<(command)` makes them.
+    """Return the content of a file that the user named: a regular one, or a pipe such as `<(command)`.
 
     Raises:
-        OSError: as `opened`; or nobody writes to the pipe, or too much.
+        OSError: as `open_regular`; or if a pipe has no writer or too much data.
     """
     descriptor = _descriptor(path)
     with os.fdopen(descriptor, "rb", buffering=0) as stream:
@@ -82,16 +82,16 @@ def read_user_file(path: Path, most: int = MOST_BYTES) -> bytes:
             read += block
             if len(read) > most:
                 raise OSError(errno.EFBIG, f"more than {format_size(most)} came out of it", str(path))
-        raise OSError(errno.ETIMEDOUT, f"nobody wrote to the pipe within {_PATIENCE_S:g} s", str(path))
+        raise OSError(errno.ETIMEDOUT, f"no data came through the pipe within {_PATIENCE_S:g} s", str(path))
 
 
 def _descriptor(path: Path) -> int:
     try:
         return os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except ValueError:  # a name that holds NUL
-        raise OSError(errno.EINVAL, "no file can have that name", str(path)) from None
+    except ValueError:  # a name with NUL
+        raise OSError(errno.EINVAL, "invalid file name", str(path)) from None
 
 
 def is_regular(descriptor: int) -> bool:
-    """Tell whether what was opened is a regular file."""
+    """Tell whether a descriptor is that of a regular file."""
     return stat.S_ISREG(os.fstat(descriptor).st_mode)

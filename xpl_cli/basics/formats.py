@@ -1,7 +1,7 @@
-"""Formats by name: those in which an audit is reported, and those in which demonstrations lie.
+"""Formats by name: of audit reports, and of demonstrations.
 
 Each is a module. A package adds one with an entry point of the group `xpl.formats`, called `report.NAME` or `data.NAME`
-(docs/extending.md). Nothing of a format is imported before it is used.
+(docs/extending.md). A format is imported on first use.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ BUILT_IN: Final = {
     f"{DATA}.aloha": f"{_DATA}.aloha",
     f"{DATA}.xpl": f"{_DATA}.standard",
 }
-"""Our own; of two that recognise a set of demonstrations the first reads it."""
+"""Built-in formats; the first data format that recognises a set of demonstrations reads it."""
 REPORTS: Final = tuple(name.partition(".")[2] for name in BUILT_IN if name.startswith(f"{REPORT}."))
-"""Names of our own formats of reports."""
+"""Names of the built-in report formats."""
 REPORTS_HELP: Final = f"{', '.join(REPORTS)}, or one of an installed package."
-"""What an option says that takes the format of a report."""
+"""Help text of options that take a report format."""
 
 
 def registered(kind: str) -> dict[str, RegisteredEntry]:
-    """Return the formats of a kind, by name: ours, then those of installed packages.
+    """Return the formats of a kind by name: built-in ones, then those of installed packages.
 
     Raises:
-        EntryPointError: two have one name, or one is of no kind.
+        EntryPointError: if two have the same name, or one has no kind.
     """
     found = {}
     for name, entry in entries(FORMATS, BUILT_IN).items():
@@ -52,10 +52,10 @@ def registered(kind: str) -> dict[str, RegisteredEntry]:
 
 
 def call(entry: RegisteredEntry, function: str, *arguments: object) -> Any:
-    """Return what a function of a format's module returns.
+    """Call a function of a format's module.
 
     Raises:
-        EntryPointError: the module cannot be imported or lacks the function, or that of a package raises.
+        EntryPointError: if the module cannot be imported or lacks the function, or a third party's function raises.
     """
     called = getattr(entry.load(), function, None)
     if not callable(called):

@@ -1,4 +1,4 @@
-"""Our own modules in further processes: found where this one found them, whatever lies in the working directory."""
+"""Commands that run modules of this tool in further processes, never modules of the working directory."""
 
 from __future__ import annotations
 
@@ -12,5 +12,5 @@ _START = (
 
 
 def command(module: str) -> list[str]:
-    """Return the words that run a module as `python -m` does, but never from a folder `xpl` that lies around."""
+    """Return the command that runs a module like `python -m`, but never from the working directory."""
     return [sys.executable, "-c", _START, str(Path(__file__).resolve().parents[2]), module]

@@ -1,4 +1,4 @@
-"""Pages of one file: our style and script inside, allowed by their hashes, and nothing else."""
+"""Self-contained HTML pages: styles and script are inline and allowed by their hashes, nothing else is."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def render(template: str, *, style: str, script: str | None = None, **values: ob
     """
     import jinja2
 
-    # Styles and script are ours; a stranger's texts reach a page as escaped text or by `as_json`.
+    # Styles and script are trusted; untrusted text reaches a page escaped or by `as_json`.
     css = Markup(_read(style))  # noqa: S704
     js = Markup(_read(script) if script else "")  # noqa: S704
     environment = jinja2.Environment(
@@ -37,13 +37,13 @@ def render(template: str, *, style: str, script: str | None = None, **values: ob
 
 
 def as_json(value: object) -> Markup:
-    """Return JSON that is safe inside a script element: no text in it can end the element."""
+    """Return JSON that is safe inside a script element."""
     text = escape_controls(json.dumps(value, separators=(",", ":"), ensure_ascii=False))
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
 
 
 def _shown(value: object) -> object:
-    """Return what a template shows of a value; what is not markup of ours does not turn the direction of writing."""
+    """Return a value for a template, with control characters and direction marks escaped."""
     return escape_controls(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 
 
@@ -52,7 +52,7 @@ def _read(name: str) -> str:
 
 
 def _policy(css: str, script: str) -> str:
-    """Return the content security policy: our style and script, films beside the page, and no network."""
+    """Return the content security policy: inline style and script, local media, and no network."""
     parts = {
         "default-src": "'none'",
         "style-src": _hash(css),

@@ -1,4 +1,4 @@
-"""Work on many things in several processes; the answers come in the order of the things."""
+"""Parallel map over processes; the results come in the order of the items."""
 
 from __future__ import annotations
 
@@ -19,17 +19,16 @@ from typing import TypeVar
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 _AHEAD = 8
-"""Things for each process that are handed out before their answers are taken."""
+"""Items per process that are submitted ahead."""
 
 
 def map_in_processes(
     work: Callable[[Item], Result], items: Sequence[Item], workers: int | None = None
 ) -> Iterator[Result | None]:
-    """Yield `work(thing)` for each thing, in order; None where the process that worked on it died.
+    """Yield `work(item)` for each item, in order; None where its process died.
 
-    Processes are forked, so that what is imported already need not be imported again; `workers` is their number, that
-    of the cores by default. An exception of `work` is raised here. Things are handed out as answers are taken, so that
-    those that wait are few.
+    Processes are forked, so that imports are shared; `workers` is their number, by default that of the cores. An
+    exception of `work` is raised here. Items are submitted as results are taken.
     """
     if not items:
         return
@@ -37,29 +36,29 @@ def map_in_processes(
     rest = iter(items)
     waiting: collections.deque[Future[Result]] = collections.deque()
     with warnings.catch_warnings(), _pool(count) as pool:
-        # Threads of this process, if any, only print; what is forked uses nothing of theirs.
+        # Threads of this process, if any, only print; forked processes do not use them.
         warnings.filterwarnings("ignore", message=".*multi-threaded", category=DeprecationWarning)
         try:
             for index in range(len(items)):
                 try:
                     waiting += [
-                        pool.submit(work, thing) for thing in itertools.islice(rest, _AHEAD * count - len(waiting))
+                        pool.submit(work, item) for item in itertools.islice(rest, _AHEAD * count - len(waiting))
                     ]
                     answer = waiting.popleft().result()
                 except BrokenProcessPool:
-                    # One death takes the whole pool: whoever has no answer gets a process of its own.
-                    yield from (_run_alone(work, thing) for thing in items[index:])
+                    # One dead process breaks the pool: each remaining item gets a process of its own.
+                    yield from (_run_alone(work, item) for item in items[index:])
                     return
                 yield answer
         except BaseException as error:
-            # Nobody who interrupts waits; else the pool's thread ends first, which Python would meet half closed.
+            # An interrupt does not wait; otherwise the pool's thread has to end first.
             pool.shutdown(wait=isinstance(error, Exception), cancel_futures=True)
             raise
 
 
 @functools.lru_cache(maxsize=1)
 def end_with_parent(parent: int) -> None:
-    """Let the system end this process when its parent has gone, whatever ended that: nobody else would."""
+    """Have the system kill this process when its parent ends, however that ends."""
     if sys.platform.startswith("linux"):
         ctypes.CDLL(None).prctl(1, signal.SIGKILL)
         if os.getppid() != parent:
@@ -67,16 +66,16 @@ def end_with_parent(parent: int) -> None:
 
 
 def _cores() -> int:
-    """Return how many cores this process may use, as far as the system tells."""
+    """Return how many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def _run_alone(work: Callable[[Item], Result], thing: Item) -> Result | None:
+def _run_alone(work: Callable[[Item], Result], item: Item) -> Result | None:
     with _pool(1) as pool:
         try:
-            return pool.submit(work, thing).result()
+            return pool.submit(work, item).result()
         except BrokenProcessPool:
             return None
 

@@ -1,4 +1,4 @@
-"""Numbers with their nouns, and lists that are cut short, as sentences have them."""
+"""Phrases for sentences: numbers with nouns, and shortened lists."""
 
 from __future__ import annotations
 
@@ -11,6 +11,6 @@ def count_noun(number: int, one: str, many: str | None = None) -> str:
 
 
 def join_limited(names: Sequence[str], most: int) -> str:
-    """Return names with commas, at most so many, and how many more there are."""
+    """Return at most `most` names with commas, and the number of further ones."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return f"{', '.join(names[:most])}{more}"

@@ -1,7 +1,7 @@
-"""The end of a process that asyncio started, noticed although others still hold its pipes.
+"""Wait for the exit of an asyncio process, also while other processes hold its pipes.
 
-`asyncio.subprocess.Process.wait` returns, in some releases of Python 3.11 and 3.12, only when nobody holds the pipes of
-the process any more (cpython#119710). A child that outlives it would hide its end.
+`asyncio.subprocess.Process.wait` returns, in some releases of Python 3.11 and 3.12, only when the pipes of the process
+are closed (cpython#119710). A child that outlives it would hide its exit.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ _SOON_S = 0.005
 async def exit_code(process: asyncio.subprocess.Process) -> int:
     """Wait for a process to end, and return its exit code, or the negative number of the signal that ended it."""
     if process.returncode is None and hasattr(os, "pidfd_open"):
-        with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio is about to say so
+        with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio is about to notice
             try:
                 handle = os.pidfd_open(process.pid)
-            except PermissionError:  # refused by the filter of a container
+            except PermissionError:  # refused by a container's seccomp filter
                 return await process.wait()
             await _readable(handle)
-        while process.returncode is None:  # noqa: ASYNC110 - asyncio tells nobody when it has noticed
+        while process.returncode is None:  # noqa: ASYNC110 - asyncio has no event for it
             await asyncio.sleep(_SOON_S)
     return process.returncode if process.returncode is not None else await process.wait()
 
 
 async def _readable(handle: int) -> None:
-    """Wait until a descriptor can be read from, and close it."""
+    """Wait until a descriptor is readable, and close it."""
     loop = asyncio.get_running_loop()
     ready: asyncio.Future[None] = loop.create_future()
     loop.add_reader(handle, _tell, ready)

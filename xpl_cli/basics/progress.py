@@ -23,11 +23,11 @@ def _nothing(_text: str) -> None:
 
 @dataclass(frozen=True)
 class Progress:
-    """Where work says what it does.
+    """Callbacks for progress reports.
 
     Attributes:
-        step: says what begins; a line of its own where there is no terminal.
-        detail: says what is being done inside a step; on a terminal only.
+        step: reports the start of a step; without a terminal as a line of its own.
+        detail: reports the work inside a step; on a terminal only.
     """
 
     step: _Say = _nothing
@@ -36,7 +36,7 @@ class Progress:
 
 @contextlib.contextmanager
 def progress() -> Iterator[Progress]:
-    """Yield where to say what is being done; everything goes to stderr."""
+    """Yield callbacks for progress reports on stderr."""
     if not sys.stderr.isatty():
         yield Progress(step=_line)
         return

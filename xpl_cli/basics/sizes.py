@@ -1,4 +1,4 @@
-"""Sizes as people write them."""
+"""Parse and format sizes in bytes."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _UNITS = (("T", 4), ("G", 3), ("M", 2), ("k", 1))
 
 
 def parse_size(text: str, option: str) -> int:
-    """Return the number of bytes that `500MB`, `20GiB` or `4096` stands for.
+    """Parse a size such as `500MB`, `20GiB` or `4096`, bytes.
 
     Args:
-        text: what was written.
-        option: where, for the error.
+        text: the size.
+        option: name of the option, for the error.
 
     Raises:
-        UserError: if it is no size.
+        UserError: if it is malformed.
     """
     size = size_of(text)
     if size is None:
@@ -29,7 +29,7 @@ def parse_size(text: str, option: str) -> int:
 
 
 def size_of(text: str) -> int | None:
-    """Return the number of bytes that a text stands for; None if it is no size."""
+    """Return the number of bytes that a text stands for; None if it is malformed."""
     found = _SIZE.fullmatch(text.strip())
     if found is None or len(found[1]) > _MOST_DIGITS:
         return None
@@ -39,6 +39,6 @@ def size_of(text: str) -> int | None:
 
 
 def format_size(size: int) -> str:
-    """Return a number of bytes in words, such as 8.2 GB."""
+    """Format a number of bytes, such as 8.2 GB."""
     unit, power = next(((name, power) for name, power in _UNITS if size >= 1000**power), _UNITS[-1])
     return f"{size / 1000**power:.3g} {unit}B"

@@ -1,4 +1,4 @@
-"""Where the tool keeps what it can make or fetch again: a folder of the user's, never the installation."""
+"""The user's cache folder, for data that the tool can create or fetch again."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ VARIABLE: Final = "XPL_CACHE"
 def folder() -> Path:
     """Return `$XPL_CACHE`, or `xpl` in the user's cache: `$XDG_CACHE_HOME`, by default `~/.cache`.
 
-    A relative path in either variable does not count: it would be another folder wherever the user goes.
+    A relative path in either variable is ignored: it would depend on the working directory.
 
     Raises:
-        UserError: the user has no home folder.
+        UserError: if the user has no home folder.
     """
     given, base = (Path(os.environ.get(name, "")) for name in (VARIABLE, "XDG_CACHE_HOME"))
     if given.is_absolute():
@@ -26,7 +26,7 @@ def folder() -> Path:
         return (base if base.is_absolute() else Path.home() / ".cache") / "xpl"
     except RuntimeError:
         raise UserError(
-            "there is no home folder to keep a cache in",
+            "there is no home folder for a cache",
             hint=f"choose one: {VARIABLE}=/path/of/a/folder",
             code=ExitCode.NOT_RUN,
         ) from None

@@ -33,7 +33,7 @@ REFERENCE = "docs/reference"
 """Where the reference pages are, in a checkout."""
 
 
-def derived(root: object) -> dict[str, bytes]:
+def generated_files(root: object) -> dict[str, bytes]:
     """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation.
 
     Args:
@@ -46,7 +46,7 @@ def derived(root: object) -> dict[str, bytes]:
     return {name: text.encode() for name, text in {**sdk, **pages}.items()}
 
 
-def left_over(root: Path) -> list[str]:
+def obsolete_pages(root: Path) -> list[str]:
     """Return the pages of a checkout, relative to it, that were generated once and follow from nothing any more."""
     from xpl_cli.derived import rules
 
@@ -154,7 +154,7 @@ def compile_robots() -> str:
     """Return the text of `xpl/robots/robots.json`: robots, and words for them."""
     known: dict[str, Mapping[str, Any]] = {
         "robots": robots.entries(),
-        "words": robots.words(),
+        "words": robots.aliases(),
     }
     parts = []
     for part, entries in known.items():

@@ -141,7 +141,7 @@ def _catalogue() -> str:
 def _embodiments() -> str:
     known = robots.entries()
     words: dict[str, list[str]] = {}
-    for word, name in robots.words().items():
+    for word, name in robots.aliases().items():
         words.setdefault(name, []).append(word)
     rows = [
         (

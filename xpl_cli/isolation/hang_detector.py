@@ -1,7 +1,7 @@
-"""Whether processes that nobody hears from are at work or hang: what they do can be seen from outside.
+"""Detect whether silent processes work or hang, by their activity.
 
-Signs of headway are input and output, memory that changes, and processes that come and go. Processor time alone is a
-sign of life, but a loop without end gives it too; so it buys patience four times as long and no more.
+Input and output, changing memory, and starting and ending processes are progress. Processor time alone is activity, but
+an endless loop uses it too; so a process that only computes may take four times as long and no more.
 """
 
 from __future__ import annotations
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
 LONGER = 4
-"""How much longer a process may compute without headway than it may be silent."""
+"""How many times longer a process may compute without progress than be inactive."""
 HUNG = ("gave no sign of life", "made no headway", "did not answer within", "could not be loaded within")
-"""What reasons say of an adapter that hangs."""
-_LOOKS = 8
-"""Looks in the time of one patience, at least; and one a second."""
+"""Phrases in the reasons for a hanging adapter."""
+_CHECKS = 8
+"""Least checks per patience; at least one per second."""
 _IDLE = 0.01
-"""Share of a processor below which a process only waits: threads that look after something take less."""
+"""Share of a processor below which a process counts as idle: polling threads take less."""
 _BYTES, _MEMORY = 4096, 1 << 20
 _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True)
 class ActivitySnapshot:
-    """What processes have done so far: processor time in s, bytes read and written, memory in bytes, their numbers."""
+    """Activity of processes so far: processor time in s, bytes read and written, memory in bytes, their pids."""
 
     processor: float
     moved: int
@@ -39,7 +39,7 @@ class ActivitySnapshot:
 
     @classmethod
     def of(cls, pids: Iterable[int]) -> ActivitySnapshot:
-        """Look at processes."""
+        """Measure processes."""
         members = frozenset(pids)
         activities = [processes.activity(pid) for pid in members]
         ticks = sum(one.ticks for one in activities)
@@ -49,37 +49,39 @@ class ActivitySnapshot:
 
 
 class HangDetector:
-    """Follows a process and those below it through one piece of work.
+    """Watches a process and its descendants during one request.
 
     Args:
         pid: the process.
-        patience: how long it may be silent, s.
+        patience: longest time without activity, s.
         now: the time, s of `time.monotonic`.
     """
 
     def __init__(self, pid: int, patience: float, now: float) -> None:
         self._pid = pid
         self._patience = patience
-        self._seen = ActivitySnapshot.of(processes.tree_pids(pid))
-        self._looked = self._alive = self._ahead = now
-        self.every_s = min(1.0, patience / _LOOKS)
+        self._snapshot = ActivitySnapshot.of(processes.tree_pids(pid))
+        self._checked_at = self._active_at = self._progress_at = now
+        self.every_s = min(1.0, patience / _CHECKS)
 
     def check(self, now: float) -> str | None:
-        """Look again; return why the work is to be ended, or None as long as there is hope."""
-        seen, before = ActivitySnapshot.of(processes.tree_pids(self._pid)), self._seen
+        """Measure again; return why the process counts as hanging, or None."""
+        current, previous = ActivitySnapshot.of(processes.tree_pids(self._pid)), self._snapshot
         if (
-            abs(seen.moved - before.moved) > _BYTES
-            or abs(seen.memory - before.memory) > _MEMORY
-            or seen.members != before.members
+            abs(current.moved - previous.moved) > _BYTES
+            or abs(current.memory - previous.memory) > _MEMORY
+            or current.members != previous.members
         ):
-            self._ahead, self._seen = now, seen
-        if seen.processor - before.processor > _IDLE * (now - self._looked) or self._ahead == now:
-            self._alive = now
-        self._seen = ActivitySnapshot(seen.processor, self._seen.moved, self._seen.memory, seen.members, seen.stopped)
-        self._looked = now
-        if now - self._alive >= self._patience:
-            how = "it is stopped by a signal" if seen.stopped else "no processor time, input or output"
+            self._progress_at, self._snapshot = now, current
+        if current.processor - previous.processor > _IDLE * (now - self._checked_at) or self._progress_at == now:
+            self._active_at = now
+        self._snapshot = ActivitySnapshot(
+            current.processor, self._snapshot.moved, self._snapshot.memory, current.members, current.stopped
+        )
+        self._checked_at = now
+        if now - self._active_at >= self._patience:
+            how = "it is stopped by a signal" if current.stopped else "no processor time, input or output"
             return f"{HUNG[0]} for {self._patience:g} s ({how}; --patience)"
-        if now - self._ahead >= LONGER * self._patience:
+        if now - self._progress_at >= LONGER * self._patience:
             return f"{HUNG[1]} for {LONGER * self._patience:g} s: it computes, and reads, writes and stores nothing"
         return None

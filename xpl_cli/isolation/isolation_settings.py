@@ -1,4 +1,4 @@
-"""How far an adapter's processes are kept from the rest of the machine, as those who start them pass it on."""
+"""How an adapter's processes are isolated from the rest of the machine."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ if TYPE_CHECKING:
 
 
 ISOLATED, APART, TRUSTED = "isolated", "apart", "trusted"
-"""How far an adapter is kept from what judges it."""
+"""Levels of isolation between an adapter and the tool that judges it."""
 
 
 @dataclass(frozen=True)
 class IsolationSettings:
-    """What is asked for; nothing by default. May travel to another process.
+    """The requested isolation, none by default. Can be pickled.
 
     Attributes:
-        isolate: no network, and nothing to write to but a temporary folder.
-        apart: no other processes in sight, otherwise.
-        proven: the way that was tried a moment ago, which need not be tried again.
+        isolate: no network, and write access to a temporary folder only.
+        apart: a PID namespace: other processes are invisible.
+        proven: a method that was tested before and is not tested again.
     """
 
     isolate: bool = False
@@ -36,37 +36,37 @@ class IsolationSettings:
 
     @classmethod
     def strictest(cls, folder: Path, *, isolate: bool) -> IsolationSettings:
-        """Return the tightest bounds that this machine has, tried once; says so where adapters have to be trusted.
+        """Return the strictest isolation of this machine, tested once; prints a note where adapters are trusted.
 
         Args:
             folder: a folder above the adapter's.
-            isolate: whether it is to be isolated.
+            isolate: whether full isolation is requested.
 
         Raises:
-            UserError: if it is to be and cannot be; exit code 4.
+            UserError: if it is requested and impossible; exit code 4.
         """
         return _strictest(folder, isolate)
 
     @property
     def name(self) -> str:
-        """How episodes say it: `isolated`, `apart`, or `trusted` where neither can be had."""
+        """Name in records of episodes: `isolated`, `apart`, or `trusted` without either."""
         return ISOLATED if self.isolate else APART if self.apart else TRUSTED
 
     @property
     def flags(self) -> tuple[str, ...]:
-        """The same as options of `xpl serve`."""
-        kept = "--isolate" if self.isolate else "--apart"
-        way = () if self.proven is None else ("--proven", self.proven)
-        return (kept, *way) if self.isolate or self.apart else ()
+        """The settings as options of `xpl serve`."""
+        option = "--isolate" if self.isolate else "--apart"
+        method = () if self.proven is None else ("--proven", self.proven)
+        return (option, *method) if self.isolate or self.apart else ()
 
     @contextlib.contextmanager
     def isolate_adapter(self, checkout: Path) -> Iterator[Isolation | None]:
-        """Find the way to do it, for the length of a `with` block; None where nothing is asked for.
+        """Yield the isolation of an adapter for a `with` block; None where none is requested.
 
         Raises:
-            UserError: if it cannot be had; exit code 4.
+            UserError: if it is impossible; exit code 4.
         """
-        from xpl_cli.isolation import sandbox  # which is slow to import, and many only say that they ask for nothing
+        from xpl_cli.isolation import sandbox  # slow to import, and often not needed
 
         if self.isolate:
             with sandbox.isolated(checkout, self.proven) as isolation:
@@ -76,7 +76,7 @@ class IsolationSettings:
 
 
 @cache
-def _strictest(folder: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT001 - what a cache is asked by
+def _strictest(folder: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT001 - cache key
     from xpl_cli.basics import console
 
     try:
@@ -85,5 +85,5 @@ def _strictest(folder: Path, isolate: bool) -> IsolationSettings:  # noqa: FBT00
     except UserError as error:
         if isolate:
             raise
-        console.note(f"the adapter is trusted: {error}, so it may signal and end whatever you may")
+        console.note(f"the adapter is trusted: {error}, so it may signal and kill all your processes")
         return IsolationSettings()

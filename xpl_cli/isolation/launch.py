@@ -1,11 +1,10 @@
-"""Become a command that is isolated by bubblewrap, or one that sees no process but its own by a namespace of ours.
+"""Launcher of isolated commands: exec bubblewrap, or start the command in a PID namespace.
 
     python -I -S launch.py PLAN -- COMMAND [ARGUMENT]...
 
-The plan (JSON, `xpl_cli.isolation.plan`) says what is to be done; this file only does it, in the order that it takes.
-It runs by itself, with the standard library and nothing of the tool, so that it starts fast. The process that is
-started waits: below it is the first process of a PID namespace, which reaps orphans, and below that the command. If any
-of the two ends, the kernel ends everything in the namespace.
+The plan (JSON) is made by `xpl_cli.isolation.plan`. This file uses the standard library only, so that it starts fast.
+The launcher waits: below it is the first process of a PID namespace, which reaps orphans, and below that the command.
+If either ends, the kernel kills everything in the namespace.
 
 Sources: bwrap(1), namespaces(7), user_namespaces(7), pid_namespaces(7), capabilities(7), keyctl(2), landlock(7).
 """
@@ -64,11 +63,11 @@ _libc = ctypes.CDLL(None, use_errno=True)
 def main(arguments: Sequence[str]) -> NoReturn:
     """Confine, then become or start the command."""
     split = arguments.index("--")
-    plan, command = json.loads(arguments[0]), list(arguments[split + 1 :])  # noqa: TID251 - the parent wrote it
+    plan, command = json.loads(arguments[0]), list(arguments[split + 1 :])  # noqa: TID251 - written by the parent
     try:
         if "inside" in plan:  # the last step, behind bubblewrap
             _write_only_below(plan["inside"])
-            os.execvp(command[0], command)  # noqa: S606 - it is what this file is for
+            os.execvp(command[0], command)  # noqa: S606 - the purpose of this file
         _prctl(_SET_PDEATHSIG, signal.SIGKILL, "die with parent")
         if "isolate" in plan:
             _isolate(plan, command)
@@ -87,7 +86,7 @@ def _give_up(error: OSError) -> NoReturn:
 
 
 def _isolate(plan: Mapping[str, Any], command: Sequence[str]) -> NoReturn:
-    """Become bubblewrap, with the command behind a last step of ours."""
+    """Exec bubblewrap, with the command behind a last step of this file."""
     _bound(plan["keyctl"])
     program, *options = plan["isolate"]
     last_step = [sys.executable, "-I", "-S", __file__, json.dumps({"inside": plan["writable"]}), "--"]
@@ -100,51 +99,57 @@ def _isolate(plan: Mapping[str, Any], command: Sequence[str]) -> NoReturn:
         os.lseek(file, 0, os.SEEK_SET)
         options += ["--seccomp", str(file)]
     options += ["--chdir", str(Path.cwd())]
-    os.execv(program, [program, *options, "--", *last_step, *command])  # noqa: S606 - it is what this file is for
+    os.execv(program, [program, *options, "--", *last_step, *command])  # noqa: S606 - the purpose of this file
 
 
 def _needed(plan: Mapping[str, Any], command: Sequence[str]) -> list[str]:
-    """Return what the command needs and would not see any more: its interpreter, and files that it is given."""
+    """Return hidden paths that the command needs: its interpreter, and files in its arguments."""
     program = Path(command[0])
     working = Path.cwd()
-    asked = [program.parent.parent, program.resolve().parent.parent, working] if program.is_absolute() else [working]
-    asked += [
+    candidates = (
+        [program.parent.parent, program.resolve().parent.parent, working] if program.is_absolute() else [working]
+    )
+    candidates += [
         Path(word) for word in command[1:] if word.startswith("/") and len(word) < os.pathconf("/", "PC_PATH_MAX")
     ]
-    inside = [path for path in asked if any(_is_below(str(path), place) for place in plan["masked"])]
-    given = plan["given"]
-    found = {str(path) for path in inside if path.exists() and not any(_is_below(str(path), one) for one in given)}
-    return sorted(found - set(plan["masked"]))
+    hidden_paths = [path for path in candidates if any(_is_below(str(path), folder) for folder in plan["masked"])]
+    visible = plan["given"]
+    existing = {
+        str(path) for path in hidden_paths if path.exists() and not any(_is_below(str(path), one) for one in visible)
+    }
+    return sorted(existing - set(plan["masked"]))
 
 
-def _is_below(path: str, place: str) -> bool:
-    return path == place or path.startswith(place + "/")
+def _is_below(path: str, folder: str) -> bool:
+    return path == folder or path.startswith(folder + "/")
 
 
 def _bound(keyctl: int | None) -> None:
-    """Take away limits that could be used against others, and the keys of the session."""
+    """Lower resource limits, and leave the session's keyring."""
     for limit in (resource.RLIMIT_CORE, resource.RLIMIT_NICE, resource.RLIMIT_RTPRIO):
         resource.setrlimit(limit, (0, 0))
     _, hard = resource.getrlimit(resource.RLIMIT_NPROC)
     most = _PROCESSES if hard == resource.RLIM_INFINITY else min(hard, _PROCESSES)
     resource.setrlimit(resource.RLIMIT_NPROC, (most, most))
-    if keyctl is not None:  # fails where the kernel has no keys, and then there is nothing to hide
+    if keyctl is not None:  # fails on kernels without keyrings, which have nothing to hide
         _libc.syscall(ctypes.c_long(keyctl), ctypes.c_long(_JOIN_SESSION_KEYRING), None)
 
 
 def _write_only_below(folders: Sequence[str]) -> None:
-    """Refuse to open anything elsewhere for writing (Landlock): named pipes, which a read-only mount leaves open."""
+    """Forbid opening other files for writing (Landlock), such as named pipes, which a read-only mount allows."""
     _prctl(_SET_NO_NEW_PRIVS, 1, "no_new_privs")
     handled = struct.pack("=Q", _WRITE_FILE)
     rules = _libc.syscall(ctypes.c_long(_LANDLOCK_CREATE), handled, ctypes.c_size_t(len(handled)), ctypes.c_uint(0))
-    if rules < 0:  # a kernel without Landlock; docs/serving.md says what is not promised then
+    if rules < 0:  # a kernel without Landlock; docs/serving.md states the limits
         return
     for folder in folders:
         file = os.open(folder, os.O_PATH | os.O_CLOEXEC)
         rule = struct.pack("=Qi", _WRITE_FILE, file)
-        told = _libc.syscall(ctypes.c_long(_LANDLOCK_ADD), ctypes.c_int(rules), ctypes.c_int(1), rule, ctypes.c_uint(0))
+        result = _libc.syscall(
+            ctypes.c_long(_LANDLOCK_ADD), ctypes.c_int(rules), ctypes.c_int(1), rule, ctypes.c_uint(0)
+        )
         os.close(file)
-        _check(told, f"landlock {folder}")
+        _check(result, f"landlock {folder}")
     _check(_libc.syscall(ctypes.c_long(_LANDLOCK_RESTRICT), ctypes.c_int(rules), ctypes.c_uint(0)), "landlock")
     os.close(rules)
 
@@ -153,10 +158,10 @@ def _write_only_below(folders: Sequence[str]) -> None:
 
 
 def _keep_apart(command: Sequence[str], covered: Sequence[str]) -> NoReturn:
-    """Enter a PID namespace, have a child be the first process there, and end as the command ends."""
+    """Enter a PID namespace, fork its first process, and exit like the command."""
     user, group = os.getuid(), os.getgid()
     flags = NEW_MOUNTS | NEW_PIDS
-    if _libc.unshare(flags) != 0:  # who may do without a user namespace keeps what it may
+    if _libc.unshare(flags) != 0:  # a privileged process needs no user namespace
         _check(_libc.unshare(flags | NEW_USER), "unshare")
         for name, text in (("setgroups", "deny"), ("uid_map", f"{user} {user} 1"), ("gid_map", f"{group} {group} 1")):
             _write(f"/proc/self/{name}", text)
@@ -175,21 +180,21 @@ def _keep_apart(command: Sequence[str], covered: Sequence[str]) -> NoReturn:
 
 
 def _first_process(command: Sequence[str], covered: Sequence[str], alive: int) -> NoReturn:
-    """Show the processes of the namespace in /proc, start the command, and reap what loses its parent."""
+    """Mount /proc of the namespace, start the command, and reap orphans."""
     _follow(alive)
     here = Path.cwd()
     _mount("none", "/", _REC | _SLAVE)
     _mount("proc", "/proc", _NOSUID | _NODEV | _NOEXEC, "proc")
-    # Numbers that differ from run to run, as they do on the whole machine: a seed made of them must not seem fixed.
+    # Random pids, as on the whole machine: a seed made from a pid must not be constant.
     with contextlib.suppress(OSError):
         _write("/proc/sys/kernel/ns_last_pid", str(random.SystemRandom().choice(_PIDS)))
     _read_only(covered)
-    os.chdir(here)  # what is mounted there now
+    os.chdir(here)  # the new mount
     _drop_capabilities()
     started = os.fork()
     if started == 0:
         os.setsid()
-        os.execvp(command[0], list(command))  # noqa: S606 - it is what this file is for
+        os.execvp(command[0], list(command))  # noqa: S606 - the purpose of this file
     _prctl(_SET_DUMPABLE, 0, "dumpable")
     os.closerange(3, _DESCRIPTORS)
     while True:
@@ -199,32 +204,32 @@ def _first_process(command: Sequence[str], covered: Sequence[str], alive: int) -
 
 
 def _read_only(covered: Sequence[str]) -> None:
-    """Let nothing be written that steers the machine: root may without any capability, as its number owns the files.
+    """Make files that control the machine read-only: root owns them and may write without capabilities.
 
-    A pattern for core dumps names a program that the kernel runs, and control groups freeze and end any process.
-    Another /proc, elsewhere, shows the processes of the machine.
+    The core dump pattern names a program that the kernel runs, and control groups freeze and kill any process.
+    Another /proc mount shows the processes of the machine.
     """
     for path in covered:
         _mount(path, path, _BIND | _REC)
         _mount("none", path, _REMOUNT | _BIND | _RDONLY | _NOSUID | _NODEV | _NOEXEC)
     hidden = [os.fsencode(path) for path in ("/proc", *covered)]
-    for line in reversed(Path("/proc/self/mountinfo").read_bytes().splitlines()):  # what came last lies on top
+    for line in reversed(Path("/proc/self/mountinfo").read_bytes().splitlines()):  # the last mount is on top
         before, _, after = line.partition(b" - ")
         written, options, kind = before.split()[4], before.split()[5].split(b","), after.split()[0].decode()
-        target = written.decode("unicode_escape").encode("latin-1")  # spaces and line breaks are written in octal
+        target = written.decode("unicode_escape").encode("latin-1")  # spaces and line breaks are octal escapes
         try:
             if kind == "proc" and target not in hidden:
                 _check(_libc.umount2(target, _DETACH), f"unmount {target!r}")
             elif kind in _OF_THE_KERNEL:
-                kept = sum(flag for name, flag in _KEPT_FLAGS.items() if name in options)
-                _mount("none", target, _REMOUNT | _BIND | _RDONLY | kept)
-        except OSError as error:  # what lies below another mount is reached by nobody
+                flags = sum(flag for name, flag in _KEPT_FLAGS.items() if name in options)
+                _mount("none", target, _REMOUNT | _BIND | _RDONLY | flags)
+        except OSError as error:  # a covered mount is unreachable
             if error.errno not in (errno.EINVAL, errno.ENOENT):
                 raise
 
 
 def _follow(alive: int) -> None:
-    """End when the parent ends, which holds the other end of a pipe; now, if it has ended already."""
+    """Die with the parent, which holds the other end of a pipe; exit now if it has ended already."""
     _prctl(_SET_PDEATHSIG, signal.SIGKILL, "die with parent")
     os.set_blocking(alive, False)
     with contextlib.suppress(BlockingIOError):
@@ -234,7 +239,7 @@ def _follow(alive: int) -> None:
 
 
 def _exit_code(status: int) -> int:
-    """Return how a process ended as a shell tells it: 128 and more for a signal."""
+    """Return the exit code as a shell reports it: 128 plus the signal."""
     code = os.waitstatus_to_exitcode(status)
     return code if code >= 0 else 128 - code
 
@@ -242,12 +247,12 @@ def _exit_code(status: int) -> int:
 # -- the kernel --------------------------------------------------------------------------------------------------------
 
 
-def _prctl(option: int, value: int, told: str) -> None:
-    _check(_libc.prctl(option, ctypes.c_ulong(value), *[ctypes.c_ulong(0)] * 3), told)
+def _prctl(option: int, value: int, what: str) -> None:
+    _check(_libc.prctl(option, ctypes.c_ulong(value), *[ctypes.c_ulong(0)] * 3), what)
 
 
 def _drop_capabilities() -> None:
-    """Give up every capability for good, root's too, which would take /proc away again and reach what lies below it.
+    """Drop every capability for good, also root's, which could unmount /proc and reach the one below.
 
     Source: capabilities(7).
     """
@@ -263,18 +268,18 @@ def _drop_capabilities() -> None:
 
 
 def _mount(source: str, target: str | bytes, flags: int, kind: str | None = None) -> None:
-    given = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
-    _check(_libc.mount(*given, ctypes.c_ulong(flags), None), f"mount {target!r}")
+    arguments = [None if text is None else os.fsencode(text) for text in (source, target, kind)]
+    _check(_libc.mount(*arguments, ctypes.c_ulong(flags), None), f"mount {target!r}")
 
 
 def _write(path: str, text: str) -> None:
     Path(path).write_text(text, encoding="ascii")
 
 
-def _check(result: int, told: str) -> None:
+def _check(result: int, what: str) -> None:
     if result != 0:
         number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number), told)
+        raise OSError(number, os.strerror(number), what)
 
 
 if __name__ == "__main__":

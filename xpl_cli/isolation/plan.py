@@ -1,7 +1,7 @@
-"""What is put before a command: what an adapter sees of the machine, and how that is arranged.
+"""Command prefixes that isolate an adapter.
 
-Isolated, it sees the file system read-only, and empty places of its own where programs of a machine meet: /tmp, /run,
-/dev, shared memory, /proc. Only kept apart, it sees everything as it is but the other processes.
+An isolated adapter sees a read-only file system, with private /tmp, /run, /dev, shared memory and /proc. With a PID
+namespace only, it sees everything but the other processes.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from pathlib import Path
 from xpl_cli.isolation import seccomp
 
 MASKED = ("/tmp", "/var/tmp", "/run", "/var/run")  # noqa: S108 - hidden, not used
-"""Where programs of a machine meet: temporary files and sockets."""
+"""Folders that programs of a machine share: temporary files and sockets."""
 _GPU_DEVICES = ("nvidia*", "nvidia-caps", "nvidia-caps/*", "dri", "kfd", "dxg", "davinci*", "accel")
 _SHARED_BYTES = 1 << 32
 _LINKS = frozenset(("self", "thread-self", "mounts", "net"))
 
 
 def isolated(program: str, *, checkout: Path, folder: Path) -> list[str]:
-    """Return what is put before a command so that bubblewrap isolates it.
+    """Return the command prefix for isolation by bubblewrap.
 
     Args:
-        program: bubblewrap.
+        program: path of bubblewrap.
         checkout: folder of the adapter.
-        folder: what stays writable.
+        folder: the writable folder.
     """
     devices = _devices()
     masked = [path for path in MASKED if Path(path).is_dir() and not Path(path).is_symlink()]
@@ -58,12 +58,12 @@ def isolated(program: str, *, checkout: Path, folder: Path) -> list[str]:
 
 
 def apart_by_namespaces() -> list[str]:
-    """Return what is put before a command so that it sees no process but its own, and has no capability."""
+    """Return the command prefix for a PID namespace without capabilities, by `launch.py`."""
     return _launch({"covered": _covered()})
 
 
 def apart_by_bubblewrap(program: str) -> list[str]:
-    """Return the same by bubblewrap, which may do what our own code may not."""
+    """Return the command prefix for a PID namespace by bubblewrap, which may be set-uid."""
     options = ["--unshare-pid", "--die-with-parent", "--new-session", "--cap-drop", "ALL"]
     options += [] if os.geteuid() == 0 else ["--unshare-user"]
     system = ["--ro-bind", "/sys", "/sys"] if Path("/sys").is_dir() else []
@@ -77,14 +77,14 @@ def _launch(plan: dict[str, object]) -> list[str]:
 
 
 def _devices() -> list[str]:
-    """Return the devices that compute; those that every program needs are shown anyway."""
+    """Return the compute devices; bubblewrap provides the standard ones."""
     found = [path for pattern in _GPU_DEVICES for path in sorted(Path("/dev").glob(pattern))]
     whole = {path for path in found if path.is_dir()}
     return sorted({str(path) for path in found if path.exists() and path.parent not in whole})
 
 
 def _covered() -> list[str]:
-    """Return what of /proc somebody may write to and concerns the machine, not a process."""
+    """Return the paths below /proc that are writable and concern the machine, not a process."""
     found = []
     for path in sorted(Path("/proc").iterdir()):
         if path.name.isdecimal() or path.name in _LINKS:

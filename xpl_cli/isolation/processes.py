@@ -1,6 +1,6 @@
-"""The processes of an adapter: which there are, what memory they hold, and the end of those that broke away.
+"""Processes of an adapter: list them, measure their memory, and kill those that have left their group.
 
-Read from /proc; where the system has none, there are no processes to be seen.
+Read from /proc; on systems without it, no processes are found.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _PROC = Path("/proc")
 _PAGE = os.sysconf("SC_PAGE_SIZE")
 _SET_CHILD_SUBREAPER = 36  # prctl(2)
 _MOST_STAT = 4096
-"""Bytes; what proc_pid_stat(5) tells of a process has never a fifth of it."""
+"""Bytes; an entry of proc_pid_stat(5) never has a fifth of that."""
 _ZOMBIE, _STOPPED = "Z", "T"
 _ROUNDS, _ROUND_S = 200, 0.005
-"""How often, and how long after each other, processes are ended that may start others while they are."""
+"""Rounds of killing, and time between them, s: processes may start others meanwhile."""
 LAUNCHERS = 2
-"""Processes above a command that is kept apart (`launch.py`; bubblewrap's are as many)."""
+"""Launcher processes above an isolated command (`launch.py`; bubblewrap has as many)."""
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class ProcessInfo:
     """A process.
 
     Attributes:
-        pid: its number.
-        parent: the process that started it, or adopted it.
-        group: its process group; a worker leads one of its own.
+        pid: its process id.
+        parent: pid of its parent, or of the process that adopted it.
+        group: its process group; each worker leads its own.
         session: its session.
-        started: when it started, in the system's ticks; with the number, it names a process for good.
-        name: what it runs, in at most 15 characters.
+        started: start time in clock ticks; with the pid it identifies a process.
+        name: program name, at most 15 characters.
     """
 
     pid: int
@@ -56,7 +56,7 @@ class ProcessInfo:
 
     @property
     def command(self) -> str:
-        """Its command line, in at most 80 characters."""
+        """Its command line, at most 80 characters."""
         with contextlib.suppress(OSError):
             words = (_PROC / str(self.pid) / "cmdline").read_bytes().decode(errors="replace").split("\0")
             return " ".join(word for word in words if word)[:80] or self.name
@@ -64,26 +64,25 @@ class ProcessInfo:
 
     @property
     def is_alive(self) -> bool:
-        """Whether it has not ended yet."""
+        """Whether it is still running."""
         found = _read_process(self.pid)
         return found is not None and found.started == self.started
 
 
 def descendants(pid: int) -> list[ProcessInfo]:
-    """Return the processes below one, children of children too, and those of the session that it began."""
-    known = list(_all_processes())
-    # Not those of its group: in a pipeline that is the user's, and its other commands are in it. A session is never
-    # joined, only inherited.
-    return _below(pid, known, {one.pid for one in known if one.session == pid})
+    """Return the descendants of a process, and the members of the session that it leads."""
+    processes = list(_all_processes())
+    # Not its group: in a shell pipeline, the group has the user's other commands. A session is inherited, never joined.
+    return _below(pid, processes, {one.pid for one in processes if one.session == pid})
 
 
 def tree_pids(pid: int) -> list[int]:
-    """Return the numbers of a process and of those below it."""
+    """Return the pids of a process and its descendants."""
     return [pid, *(member.pid for member in descendants(pid))]
 
 
 def launcher_chain(pid: int) -> list[int]:
-    """Return a launcher of a command that is kept apart, the first process of its namespace, and the command.
+    """Return the launcher of an isolated command, the first process of its namespace, and the command.
 
     The list ends with what there is so far: one that has just been started has nothing below it.
     """
@@ -91,20 +90,20 @@ def launcher_chain(pid: int) -> list[int]:
 
 
 def first_descendants(pid: int, levels: int) -> list[int]:
-    """Return a process, the first that it started, the first that this one started, and so on."""
-    known, chain = list(_all_processes()), [pid]
+    """Return a process, its first child, the first child of that, and so on."""
+    processes, chain = list(_all_processes()), [pid]
     while len(chain) <= levels:
-        children = [member for member in known if member.parent == chain[-1]]
+        children = [member for member in processes if member.parent == chain[-1]]
         if not children:
             break
-        # What it adopts later came later.
+        # Adopted processes started later.
         chain.append(min(children, key=lambda member: (member.started, member.pid)).pid)
     return chain
 
 
 @dataclass(frozen=True)
 class Activity:
-    """What one process has done: processor time in the system's ticks, bytes read and written; whether it rests."""
+    """Activity of one process: processor time in clock ticks, bytes read and written, whether it is stopped."""
 
     ticks: int = 0
     moved: int = 0
@@ -112,7 +111,7 @@ class Activity:
 
 
 def activity(pid: int) -> Activity:
-    """Return what a process has done so far; nothing where the system does not tell."""
+    """Return the activity of a process; zeros where it is unknown."""
     fields = _stat_fields(pid)
     if fields is None:
         return Activity()
@@ -124,7 +123,7 @@ def activity(pid: int) -> Activity:
 
 
 def resident_bytes(pid: int) -> int:
-    """Return the resident memory of one process, bytes; 0 where the system does not tell."""
+    """Return the resident memory of one process, bytes; 0 where it is unknown."""
     try:
         return int((_PROC / str(pid) / "statm").read_text(encoding="ascii").split()[1]) * _PAGE
     except (OSError, IndexError, ValueError):
@@ -132,7 +131,7 @@ def resident_bytes(pid: int) -> int:
 
 
 def private_bytes(pid: int) -> int | None:
-    """Return the memory that a process has for itself, bytes; None where the system does not tell."""
+    """Return the private memory of a process, bytes; None where it is unknown."""
     try:
         status = (_PROC / str(pid) / "status").read_text(encoding="utf-8", errors="replace")
     except OSError:
@@ -142,10 +141,10 @@ def private_bytes(pid: int) -> int | None:
 
 
 def proportional_bytes(pid: int) -> int:
-    """Return the memory that a process and those below it hold, bytes; a page that they share counts once.
+    """Return the memory of a process and its descendants, bytes; shared pages count once.
 
-    That is what they have mapped, and files that lie in memory; these are often mapped too, so that of both sums the
-    larger one counts. Takes the system some milliseconds for a large process.
+    It is the sum of mapped memory and in-memory files; these are often mapped too, so that the larger of both sums
+    counts. Takes some milliseconds for a large process.
     """
     pids = tree_pids(pid)
     sizes = [_proportional(one) for one in pids]
@@ -154,30 +153,30 @@ def proportional_bytes(pid: int) -> int:
 
 
 def memory_file_bytes(pids: Iterable[int]) -> int:
-    """Return the bytes of files that lie in memory and that processes have open (`memfd_create`, `/dev/shm`)."""
+    """Return the bytes of in-memory files that processes have open (`memfd_create`, `/dev/shm`)."""
     return sum({place: size for pid in pids for place, size in _memory_files(pid)}.values())
 
 
 def adopt_orphans() -> None:
-    """Become the parent of whatever processes below this one lose theirs, so that none gets out of sight."""
+    """Become the parent of descendants that lose theirs (subreaper), so that all stay visible."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_SET_CHILD_SUBREAPER, ctypes.c_ulong(1), *[ctypes.c_ulong(0)] * 3)
 
 
 def kill_tree(leader: int) -> None:
-    """Kill the leader of a group, its group and the processes below it."""
+    """Kill the leader of a group, the group and its descendants."""
     for number in tree_pids(leader):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(number, signal.SIGKILL)
-    spawn.end_group(leader)  # all that can be seen where there is no /proc
+    spawn.end_group(leader)  # all that is possible without /proc
 
 
 def kill_descendants(before: Container[int]) -> list[ProcessInfo]:
-    """Kill the processes below this one, until there are none, and return them.
+    """Kill the descendants of this process until there are none, and return them.
 
     Args:
-        before: numbers of those that this process had when it began, such as the reader of its output, which a shell
-            started before it became this process; they and theirs are spared.
+        before: pids of descendants at the start, such as a reader of the output that the shell started; they and
+            their descendants are spared.
     """
     killed: dict[ProcessInfo, None] = {}
     for _ in range(_ROUNDS):
@@ -185,15 +184,15 @@ def kill_descendants(before: Container[int]) -> list[ProcessInfo]:
         if not left:
             break
         killed.update(dict.fromkeys(_kill(left)))
-        time.sleep(_ROUND_S)  # for those whose parent is another one
+        time.sleep(_ROUND_S)  # for those with other parents
     return list(killed)
 
 
 def kill_adopted(before: Container[int]) -> list[ProcessInfo]:
-    """Kill the processes that this one has got as children, with all below them, and return them.
+    """Kill the adopted children of this process with their descendants, and return them.
 
     Args:
-        before: numbers of those that it had already.
+        before: pids of its earlier children.
     """
     adopted = [one.pid for one in descendants(os.getpid()) if one.parent == os.getpid() and one.pid not in before]
     below = {member.pid: member for pid in adopted for member in descendants(pid)}
@@ -212,7 +211,7 @@ def _kill(members: list[ProcessInfo]) -> list[ProcessInfo]:
 
 
 def _below(pid: int, candidates: Sequence[ProcessInfo], also: Container[int] = ()) -> list[ProcessInfo]:
-    """Return the processes below one and below some others, with these others."""
+    """Return the descendants of a process and of some others, with these others."""
     inside = {pid}
     while True:
         found = {one.pid for one in candidates if one.parent in inside or one.pid in also} | inside
@@ -222,7 +221,7 @@ def _below(pid: int, candidates: Sequence[ProcessInfo], also: Container[int] = (
 
 
 def _all_processes() -> Iterator[ProcessInfo]:
-    for name in os.listdir(_PROC) if _PROC.is_dir() else ():  # noqa: PTH208 - many, and often: names are enough
+    for name in os.listdir(_PROC) if _PROC.is_dir() else ():  # noqa: PTH208 - called often: names are enough
         member = _read_process(int(name)) if name.isdecimal() else None
         if member is not None:
             yield member
@@ -237,20 +236,20 @@ def _read_process(pid: int) -> ProcessInfo | None:
 
 
 def _stat_fields(pid: int) -> tuple[str, list[str]] | None:
-    """Return a process's name and the fields of proc_pid_stat(5) from its state on; None if it is gone."""
+    """Return a process's name and the fields of proc_pid_stat(5) from its state on; None if it has ended."""
     try:
-        # Every process of the machine is read, and often: a path takes longer to make than the file to read.
+        # Reads every process of the machine, often: a Path object would take longer than the read.
         with open(f"/proc/{pid}/stat", "rb", buffering=0) as file:  # noqa: PTH123
             text = file.read(_MOST_STAT).decode(errors="replace")
     except OSError:
         return None
-    # The name stands in parentheses and may hold any character, parentheses and spaces too.
+    # The name is in parentheses and may hold any character, also parentheses and spaces.
     before, _, after = text.rpartition(")")
     return before.partition("(")[2], after.split()
 
 
 def _proportional(pid: int) -> tuple[int, int]:
-    """Return a process's share of what it has mapped, bytes, and what of it are files that lie in memory."""
+    """Return a process's proportional share of mapped memory, bytes, and the part of in-memory files."""
     try:
         text = (_PROC / str(pid) / "smaps_rollup").read_text(encoding="ascii", errors="replace")
         sizes = dict(line.split()[:2] for line in text.splitlines()[1:])
@@ -260,10 +259,10 @@ def _proportional(pid: int) -> tuple[int, int]:
 
 
 def _memory_files(pid: int) -> Iterator[tuple[tuple[int, int], int]]:
-    """Yield device, number and size, bytes, of the files of a process that lie in memory."""
+    """Yield device, inode and size, bytes, of a process's in-memory files."""
     memory = _memory_devices(pid)
     with contextlib.suppress(OSError):
-        for name in os.listdir(_PROC / str(pid) / "fd"):  # noqa: PTH208 - many, and often
+        for name in os.listdir(_PROC / str(pid) / "fd"):  # noqa: PTH208 - called often
             with contextlib.suppress(OSError):
                 status = os.stat(f"/proc/{pid}/fd/{name}")  # noqa: PTH116 - as above
                 if stat.S_ISREG(status.st_mode) and status.st_dev in memory:
@@ -271,7 +270,7 @@ def _memory_files(pid: int) -> Iterator[tuple[tuple[int, int], int]]:
 
 
 def _memory_devices(pid: int) -> set[int]:
-    """Return the devices of files that lie in memory: the kernel's own, and that of a process's `/dev/shm`."""
+    """Return the devices of in-memory files: the kernel's own, and that of a process's `/dev/shm`."""
     found = set()
     with contextlib.suppress(OSError, AttributeError):
         found.add(_kernels_own())

@@ -1,10 +1,10 @@
-"""Tries to break out of an isolation, from inside; says which promise does not hold.
+"""Test an isolation from inside by trying to break out; print the promises that do not hold.
 
     python -I -S proof.py EXPECTED
 
-`EXPECTED` (JSON) holds what the outside knows: `checkout`, `folder`, `hidden` (a file that must not be seen), `port`
-(one that somebody listens on), `namespaces` (outside's, by name), `calls` (numbers of system calls to be refused).
-Ends with 0, or with a sentence on standard error. Standard library only.
+`EXPECTED` (JSON) holds facts from outside: `checkout`, `folder`, `hidden` (a file that must be invisible), `port` (one
+with a listener), `namespaces` (outside's, by name), `calls` (numbers of system calls to be refused). Exits with 0, or
+with a sentence on standard error. Standard library only.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 
 def broken(expected: dict[str, Any]) -> Iterator[str]:
-    """Yield what is not as promised."""
+    """Yield the broken promises."""
     for name, outside in expected["namespaces"].items():
         if Path(f"/proc/self/ns/{name}").readlink().name == outside:
             yield f"the {name} namespace is the machine's"
@@ -72,4 +72,4 @@ def _goes(attempt: Callable[[], object]) -> bool:
 
 
 if __name__ == "__main__":
-    sys.exit("; ".join(broken(json.loads(sys.argv[1]))) or 0)  # noqa: TID251 - the parent wrote it
+    sys.exit("; ".join(broken(json.loads(sys.argv[1]))) or 0)  # noqa: TID251 - written by the parent

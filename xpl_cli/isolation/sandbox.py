@@ -1,8 +1,8 @@
-"""What an adapter may do to the machine: how much memory it may hold, whether it sees a network, where it may write.
+"""Sandbox of an adapter: memory limit, network and write access.
 
-A limit on memory is held by looking, because what the system offers (RLIMIT_AS) counts address space, which GPU
-libraries reserve in terabytes. Isolation is bubblewrap's, with a filter of system calls (`seccomp.py`) and a last step
-inside (`launch.py`) of ours. What is promised is tried from inside first (`proof.py`).
+The memory limit is enforced by polling, because RLIMIT_AS counts address space, which GPU libraries reserve in
+terabytes. Isolation uses bubblewrap, with a system call filter (`seccomp.py`) and a last step inside (`launch.py`).
+Every promise is tested from inside first (`proof.py`).
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
 _EVERY_S = 0.1
-_LOOKS_PER_SEARCH = 5
+_POLLS_PER_SEARCH = 5
 _SHARE = re.compile(r"(\d{1,18}(?:\.\d+)?)\s*%")
 _CONTAINER_LIMITS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
 _NO_LIMIT = "none"
 
 _HOME_FOLDERS = {"HF_HOME": ".cache/huggingface", "TORCH_HOME": ".cache/torch", "PYTHONUSERBASE": ".local"}
-"""What is found below the home folder, readable as before, although isolated adapters have another home folder."""
+"""Caches in the user's home folder that stay readable, although isolated adapters have another home folder."""
 _PROOF_S = 20.0
 _PROOF = Path(__file__).with_name("proof.py")
 BUBBLEWRAP, _NAMESPACES_OF_OURS = "bubblewrap", "namespaces"
-"""Ways to keep a command apart; the first one also isolates it."""
+"""Methods of PID isolation; the first one can also isolate fully."""
 INSTALL = "install bubblewrap: apt-get install bubblewrap, dnf install bubblewrap, or pacman -S bubblewrap"
 _NAMESPACES = ("user", "pid", "ipc", "net", "mnt", "uts")
 _REFUSED = ("keyctl", "ptrace", "mount", "setns", "unshare", "bpf", "perf_event_open", "userfaultfd", "io_uring_setup")
@@ -51,7 +51,7 @@ class WatchedProcess(Protocol):
     """A process whose memory is watched.
 
     Attributes:
-        pid: the process; those below it count too.
+        pid: the process; its descendants count too.
         died: resolves when it has ended.
     """
 
@@ -59,16 +59,16 @@ class WatchedProcess(Protocol):
     died: asyncio.Future[str]
 
     def kill(self, reason: str) -> None:
-        """End it at once, for a reason that its user is told."""
+        """Kill it, for a reason that is reported to the user."""
 
 
 @dataclass(frozen=True)
 class MemoryLimit:
-    """Most resident memory of a worker and of the processes below it.
+    """Limit on the resident memory of a worker and its descendants.
 
     Attributes:
         size: bytes.
-        asked: what the user wrote.
+        text: the option's value.
     """
 
     size: int
@@ -76,7 +76,7 @@ class MemoryLimit:
 
     @classmethod
     def parse(cls, text: str) -> Self | None:
-        """Return the limit that `8GB`, `512MiB`, `80%` (of this machine's memory) or `none` stands for.
+        """Parse `8GB`, `512MiB`, `80%` (of this machine's memory) or `none`.
 
         Raises:
             UserError: if it is none of these.
@@ -92,16 +92,16 @@ class MemoryLimit:
         return cls(size, asked)
 
     async def enforce(self, process: WatchedProcess) -> None:
-        """Watch a worker until it ends, and end it with a clear reason when it holds more."""
-        import asyncio  # slow to import, and whoever only reads a limit needs none of it
+        """Watch a worker until it ends, and kill it when it exceeds the limit."""
+        import asyncio  # slow to import, and not needed for parsing
 
-        for look in itertools.count():
+        for poll in itertools.count():
             if process.died.done():
                 return
-            if look % _LOOKS_PER_SEARCH == 0:  # on a machine with thousands of processes a search takes its time
+            if poll % _POLLS_PER_SEARCH == 0:  # a search is slow on machines with thousands of processes
                 pids = await asyncio.to_thread(processes.tree_pids, process.pid)
                 files = await asyncio.to_thread(processes.memory_file_bytes, pids)
-            # A page that processes share counts twice at first sight, and is worth a closer look only if that matters.
+            # Shared pages count twice in this sum; the exact sum is slower and only needed above the limit.
             if files + sum(map(processes.resident_bytes, pids)) > self.size:
                 used = await asyncio.to_thread(processes.proportional_bytes, process.pid)
                 if used > self.size:
@@ -115,7 +115,7 @@ class MemoryLimit:
 
 
 def machine_memory() -> int:
-    """Return the memory that this machine has, or that its container may use, bytes."""
+    """Return the memory of this machine or of its container, bytes."""
     sizes = [os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")]
     for path in _CONTAINER_LIMITS:
         with contextlib.suppress(OSError, ValueError):
@@ -125,12 +125,12 @@ def machine_memory() -> int:
 
 @dataclass(frozen=True)
 class Isolation:
-    """A way to keep a command apart; the process that is started waits for it (`family.kept_apart`).
+    """An isolation of commands; the started process is a launcher (`processes.launcher_chain`).
 
     Attributes:
-        way: its name.
-        prefix: what is put before the command.
-        folder: what it may write to, where it is isolated; None where only processes are kept apart.
+        method: name of the method.
+        prefix: prefix of the command.
+        folder: the writable folder of full isolation; None with a PID namespace only.
     """
 
     method: str
@@ -138,84 +138,84 @@ class Isolation:
     folder: Path | None
 
     def environment(self, outside: Mapping[str, str]) -> dict[str, str]:
-        """Return the environment of the command: isolated, it has home, temporary files and caches of its own."""
+        """Return the command's environment variables; full isolation has private home, temporary and cache folders."""
         if self.folder is None:
             return dict(outside)
         home = Path(outside.get("HOME", "/"))
-        kept = {name: str(home / place) for name, place in _HOME_FOLDERS.items() if (home / place).is_dir()}
+        caches = {name: str(home / path) for name, path in _HOME_FOLDERS.items() if (home / path).is_dir()}
         inside = {"HOME": self.folder / "home", "TMPDIR": self.folder / "tmp", "XDG_CACHE_HOME": self.folder / "cache"}
         for path in inside.values():
             path.mkdir(exist_ok=True)
-        return {**kept, **outside, **{name: str(path) for name, path in inside.items()}}
+        return {**caches, **outside, **{name: str(path) for name, path in inside.items()}}
 
 
 @contextlib.contextmanager
 def isolated(checkout: Path, proven: str | None = None) -> Iterator[Isolation]:
-    """Isolate an adapter by bubblewrap, for the length of a `with` block; every promise of it has been tried.
+    """Isolate an adapter by bubblewrap for a `with` block; every promise is tested first.
 
     Args:
         checkout: folder of the adapter.
-        proven: the way that was found a moment ago, which need not be tried again.
+        proven: a method that was tested before and is not tested again.
 
     Raises:
-        UserError: if there is no bubblewrap, with how to get it, or a promise does not hold; exit code 4.
+        UserError: if bubblewrap is missing, or a promise does not hold; exit code 4.
     """
     program = shutil.which("bwrap")
     if program is None:
         raise UserError(
-            "isolation was asked for, and bubblewrap, which arranges it, is not installed: there is no bwrap on PATH",
+            "isolation was requested, but bubblewrap is not installed: there is no bwrap on PATH",
             hint=INSTALL,
             code=ExitCode.NOT_RUN,
         )
     with tempfile.TemporaryDirectory(prefix="xpl-isolated-") as name:
-        # One deeper than what only this user may enter: what the adapter makes of its folder's rights, and a set-uid
-        # program in it, is then nothing that another user of the machine could get at.
+        # Below a folder that only this user can enter: whatever permissions the adapter sets, and whatever set-uid
+        # program it writes, other users cannot reach it.
         folder = Path(name).resolve() / "own"
         folder.mkdir()
         prefix = plan.isolated(program, checkout=checkout.resolve(), folder=folder)
         reason = None if proven == BUBBLEWRAP else _broken_promise(prefix, checkout.resolve(), folder)
         if reason is not None:
             raise UserError(
-                f"isolation was asked for and bubblewrap cannot arrange it here: {reason}",
-                hint="allow unprivileged user namespaces, or leave --isolate away",
+                f"isolation was requested, but bubblewrap cannot provide it here: {reason}",
+                hint="allow unprivileged user namespaces, or omit --isolate",
                 code=ExitCode.NOT_RUN,
             )
         yield Isolation(BUBBLEWRAP, tuple(prefix), folder)
 
 
 def pid_isolation(checkout: Path, proven: str | None = None) -> Isolation:
-    """Find a way to run an adapter where it sees and signals no process but its own.
+    """Return a method that hides other processes from an adapter.
 
     Args:
         checkout: folder of the adapter.
-        proven: the way that was found a moment ago, which need not be tried again.
+        proven: a method that was tested before and is not tested again.
 
     Raises:
-        UserError: if none works here, with the reason of each; exit code 4.
+        UserError: if no method works here; exit code 4.
     """
     proof = [sys.executable, "-I", "-S", "-c", _IS_APART, str(Path("/proc/self/ns/pid").readlink())]
     bubblewrap = shutil.which("bwrap")
-    ways = {_NAMESPACES_OF_OURS: plan.apart_by_namespaces()}
-    ways |= {} if bubblewrap is None else {BUBBLEWRAP: plan.apart_by_bubblewrap(bubblewrap)}
-    refused = []
-    for way, prefix in ways.items():
-        reason = None if way == proven else _failure_reason(_run_probe([*prefix, *proof], checkout))
+    methods = {_NAMESPACES_OF_OURS: plan.apart_by_namespaces()}
+    methods |= {} if bubblewrap is None else {BUBBLEWRAP: plan.apart_by_bubblewrap(bubblewrap)}
+    reasons = []
+    for method, prefix in methods.items():
+        reason = None if method == proven else _failure_reason(_run_probe([*prefix, *proof], checkout))
         if reason is None:
-            return Isolation(way, tuple(prefix), None)
-        refused.append(f"{way}: {reason}")
-    raise UserError(f"no PID namespace can be had here ({'; '.join(refused)})", code=ExitCode.NOT_RUN)
+            return Isolation(method, tuple(prefix), None)
+        reasons.append(f"{method}: {reason}")
+    raise UserError(f"no PID namespace is available here ({'; '.join(reasons)})", code=ExitCode.NOT_RUN)
 
 
 def check(checkouts: Sequence[Path], *, memory_limit: str, isolate: bool) -> None:
-    """Check that adapters can be kept within bounds on this machine.
+    """Check that this machine can enforce the limits of adapters.
 
     Args:
         checkouts: their folders.
         memory_limit: as for `MemoryLimit.parse`.
-        isolate: whether they shall be isolated.
+        isolate: whether isolation is requested.
 
     Raises:
-        UserError: if not; with exit code 4 if they cannot be isolated.
+        UserError: if not; exit code 4 if isolation is impossible.
     """
     MemoryLimit.parse(memory_limit)
     for checkout in checkouts if isolate else ():
@@ -238,7 +238,7 @@ for path in ("/sys", "/proc/sys"):
 
 
 def _broken_promise(prefix: Sequence[str], checkout: Path, folder: Path) -> str | None:
-    """Try to break out behind a prefix; return which promise does not hold, or None if all do."""
+    """Test an isolation from inside; return a broken promise, or None."""
     with (
         socket.create_server(("127.0.0.1", 0)) as server,
         tempfile.NamedTemporaryFile(prefix="xpl-hidden-", dir=_shared_folder()) as hidden,
@@ -251,13 +251,13 @@ def _broken_promise(prefix: Sequence[str], checkout: Path, folder: Path) -> str 
             "namespaces": {name: Path(f"/proc/self/ns/{name}").readlink().name for name in _NAMESPACES},
             "calls": {name: number for name in _REFUSED if (number := seccomp.number(name)) is not None},
         }
-        # The text and not the file: what is hidden inside may hide the file too.
+        # The text and not the file: the file may be hidden inside.
         program = [sys.executable, "-I", "-S", "-c", _PROOF.read_text(encoding="utf-8"), json.dumps(expected)]
         return _failure_reason(_run_probe([*prefix, *program], checkout))
 
 
 def _shared_folder() -> str | None:
-    """Return a folder where programs of this machine meet, if it may be written to."""
+    """Return a writable folder that programs of this machine share, or None."""
     return next((path for path in plan.MASKED if os.access(path, os.W_OK)), None)
 
 

@@ -1,8 +1,8 @@
-"""The system calls that an isolated adapter is refused, as a program for the kernel's filter (seccomp(2), bpf(2)).
+"""System call filter of isolated adapters, as a seccomp program (seccomp(2), bpf(2)).
 
-What namespaces and dropped capabilities already forbid is refused here once more, so that a fault in the kernel's code
-for it cannot be reached; what knows no namespace (keyrings, vsock, performance counters) is refused here alone. A call
-that is refused fails with EPERM, and a kind of socket with EAFNOSUPPORT, as on a kernel without it.
+The filter also refuses calls that namespaces and dropped capabilities already forbid, so that kernel bugs behind them
+are unreachable; calls without namespaces (keyrings, vsock, performance counters) are refused here only. A refused call
+fails with EPERM, and a refused kind of socket with EAFNOSUPPORT, as on a kernel without it.
 
 Sources: syscalls(2), Documentation/userspace-api/seccomp_filter.rst, and the profiles of Docker and Flatpak.
 """
@@ -15,7 +15,7 @@ import struct
 from collections.abc import Sequence
 
 SYSCALLS: dict[str, tuple[int | None, int | None]] = {
-    # what others keep: keys, memory and descriptors of other processes
+    # keys, memory and descriptors of other processes
     "keyctl": (250, 219),
     "add_key": (248, 217),
     "request_key": (249, 218),
@@ -72,7 +72,7 @@ SYSCALLS: dict[str, tuple[int | None, int | None]] = {
     "iopl": (172, None),
     "ioperm": (173, None),
     "ioprio_set": (251, 30),
-    # looked at more closely below
+    # filtered by their arguments below
     "clone": (56, 220),
     "clone3": (435, 435),
     "socket": (41, 198),
@@ -83,11 +83,11 @@ SYSCALLS: dict[str, tuple[int | None, int | None]] = {
 
 _CONDITIONAL = frozenset(("clone", "clone3", "socket", "socketpair", "ioctl"))
 _MACHINES = {"x86_64": (0, 0xC000003E), "aarch64": (1, 0xC00000B7)}
-"""For each machine the place of its numbers above, and how the kernel calls it (AUDIT_ARCH)."""
+"""For each machine the column of its numbers above, and its AUDIT_ARCH."""
 _X32 = 0x40000000  # a second table of numbers on x86_64
 _NEW_NAMESPACES = 0x7E020000  # CLONE_NEW*: cgroup, UTS, IPC, user, PID, network, mounts
 _UNIX, _INET, _INET6, _NETLINK = 1, 2, 10, 16
-_TERMINAL_INPUT = (0x5412, 0x541C)  # TIOCSTI, TIOCLINUX: typing into somebody's terminal
+_TERMINAL_INPUT = (0x5412, 0x541C)  # TIOCSTI, TIOCLINUX: typing into a user's terminal
 
 _STREAM, _SEQUENCED, _KIND = 1, 5, 0xF  # SOCK_STREAM, SOCK_SEQPACKET, and the bits of a socket's kind
 _LOAD, _EQUAL, _AT_LEAST, _ANY_BIT, _AND, _RETURN = 0x20, 0x15, 0x35, 0x45, 0x54, 0x06
@@ -96,21 +96,21 @@ _NUMBER, _ARCHITECTURE, _FIRST, _SECOND, _THIRD = 0, 4, 16, 24, 32  # offsets in
 
 
 def number(name: str) -> int | None:
-    """Return the number of a call on this machine, None where there is none."""
-    found = _MACHINES.get(platform.machine())
-    return None if found is None else SYSCALLS[name][found[0]]
+    """Return the number of a call on this machine, or None."""
+    machine = _MACHINES.get(platform.machine())
+    return None if machine is None else SYSCALLS[name][machine[0]]
 
 
 def program(*, cuda: bool = False) -> bytes | None:
-    """Return the filter for this machine, as `struct sock_filter[]`; None where its calls are not known here.
+    """Return the filter for this machine, as `struct sock_filter[]`; None for unknown machines.
 
     Args:
         cuda: allow the one kind of named socket without which CUDA does not start.
     """
-    found = _MACHINES.get(platform.machine())
-    if found is None:
+    machine = _MACHINES.get(platform.machine())
+    if machine is None:
         return None
-    place, architecture = found
+    column, architecture = machine
     lines = [
         (_LOAD, 0, 0, _ARCHITECTURE),
         (_EQUAL, 1, 0, architecture),
@@ -119,18 +119,18 @@ def program(*, cuda: bool = False) -> bytes | None:
         *([(_AT_LEAST, 0, 1, _X32), _refuse(errno.EPERM)] if platform.machine() == "x86_64" else []),
     ]
     for name, numbers in SYSCALLS.items():
-        call = numbers[place]
+        call = numbers[column]
         if call is not None and name not in _CONDITIONAL:
             lines += [(_EQUAL, 0, 1, call), _refuse(errno.EPERM)]
-    # Its flags lie in memory, where a filter cannot read them; libraries fall back to clone.
-    lines += [(_EQUAL, 0, 1, SYSCALLS["clone3"][place]), _refuse(errno.ENOSYS)]
-    lines += _looked_at("clone", place, _FIRST, [(_ANY_BIT, 0, 1, _NEW_NAMESPACES), _refuse(errno.EPERM)])
-    # A socket with a name could reach one of the host that lies anywhere in the file system; pairs have no name.
+    # Its flags are in memory, which a filter cannot read; libraries fall back to clone.
+    lines += [(_EQUAL, 0, 1, SYSCALLS["clone3"][column]), _refuse(errno.ENOSYS)]
+    lines += _filter_argument("clone", column, _FIRST, [(_ANY_BIT, 0, 1, _NEW_NAMESPACES), _refuse(errno.EPERM)])
+    # A named socket could reach the host's sockets in the file system; pairs have no name.
     sockets = [*_INTERFACES, *_only(_INET, _INET6)]
-    lines += _looked_at("socket", place, _FIRST, [*(_CUDA_SOCKET if cuda else ()), *sockets])
-    lines += _looked_at("socketpair", place, _FIRST, _PAIRS)
+    lines += _filter_argument("socket", column, _FIRST, [*(_CUDA_SOCKET if cuda else ()), *sockets])
+    lines += _filter_argument("socketpair", column, _FIRST, _PAIRS)
     refused = [line for code in _TERMINAL_INPUT for line in ((_EQUAL, 0, 1, code), _refuse(errno.EPERM))]
-    lines += _looked_at("ioctl", place, _SECOND, refused)
+    lines += _filter_argument("ioctl", column, _SECOND, refused)
     lines.append((_RETURN, 0, 0, _ALLOW))
     return b"".join(struct.pack("=HBBI", *line) for line in lines)
 
@@ -146,7 +146,7 @@ _CUDA_SOCKET: tuple[_Line, ...] = (
     (_RETURN, 0, 0, _ALLOW),
     (_RETURN, 0, 0, _ERROR | errno.EAFNOSUPPORT),
 )
-# What the C library asks for interfaces, of which the namespace has one; other protocols reach more of the kernel.
+# For the C library's list of interfaces; other netlink protocols reach more of the kernel.
 _INTERFACES: tuple[_Line, ...] = (
     (_EQUAL, 0, 4, _NETLINK),
     (_LOAD, 0, 0, _THIRD),
@@ -177,7 +177,7 @@ def _only(*families: int) -> list[_Line]:
     return [*allowed, _refuse(errno.EAFNOSUPPORT)]
 
 
-def _looked_at(name: str, place: int, argument: int, lines: Sequence[_Line]) -> list[_Line]:
-    """Load an argument of one call and go through lines; what they do not decide is allowed."""
-    inside = [(_LOAD, 0, 0, argument), *lines, (_RETURN, 0, 0, _ALLOW)]
-    return [(_EQUAL, 0, len(inside), SYSCALLS[name][place]), *inside]
+def _filter_argument(name: str, column: int, argument: int, lines: Sequence[_Line]) -> list[_Line]:
+    """Load an argument of a call and apply filter lines; by default the call is allowed."""
+    body = [(_LOAD, 0, 0, argument), *lines, (_RETURN, 0, 0, _ALLOW)]
+    return [(_EQUAL, 0, len(body), SYSCALLS[name][column]), *body]

@@ -1,8 +1,7 @@
-"""Errands: a module of the SDK in a policy's interpreter that reads one file, writes answers to another, and ends.
+"""Subprocess tasks: a module of the SDK runs in a policy's interpreter, reads a request file and writes an answer file.
 
-For what is asked of an adapter, or of its reference code, without a server. The module has `main(asked, answers)`; the
-answers are packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`). They
-are read once, here.
+They call an adapter, or its reference code, without a server. The module has `main(request, answers)`; the answers are
+packed maps (`xpl.wire.packed`), each after its length, that of loading first (`xpl.worker.inprocess`).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from xpl import _spec as sdk
 from xpl.process import spawn
 from xpl.process.child import SDK_START
 from xpl.wire import packed
-from xpl.worker.errand import ERROR, LENGTH
+from xpl.worker.subprocess_task import ERROR, LENGTH
 from xpl_cli.isolation import processes
 from xpl_cli.isolation.hang_detector import HangDetector
 from xpl_cli.isolation.isolation_settings import IsolationSettings
@@ -30,20 +29,20 @@ from xpl_cli.isolation.stacks import STACKS_S, innermost_frame
 
 _EVERY_S: Final = 0.1
 _MOST_BYTES: Final = 1 << 30
-"""What all answers of one errand may hold."""
+"""Largest total size of the answers of one task."""
 
 
 @dataclass(frozen=True)
 class TaskSettings:
-    """Where an errand runs.
+    """How a task runs.
 
     Attributes:
         python: the interpreter.
         checkout: its working directory, the adapter's folder.
-        bounds: what it is kept from.
-        patience: how long it may be silent, s.
-        limit_s: how long it may take, s.
-        heard: told how many answers there are, whenever there are more; None to tell nobody.
+        bounds: its isolation.
+        patience: longest time without activity, s.
+        limit_s: longest total time, s.
+        on_answer: called with the number of answers whenever it has grown, or None.
     """
 
     python: str
@@ -56,12 +55,12 @@ class TaskSettings:
 
 @dataclass(frozen=True)
 class TaskAnswer:
-    """What an errand says to one thing that it was told.
+    """One answer of a task.
 
     Attributes:
-        result: what came of it; None where that is an error.
-        error: the error, None without one.
-        trace: where it was raised, where that is known.
+        result: the result; None for an error.
+        error: the error, or None.
+        trace: where it was raised, if known.
         unreal: whether only the real model could have answered.
     """
 
@@ -72,7 +71,7 @@ class TaskAnswer:
 
     @classmethod
     def parse(cls, entry: object) -> Self:
-        """Read what a process wrote, which may be anything."""
+        """Parse an entry that a process wrote, which may be anything."""
         if not isinstance(entry, dict) or not {ERROR, sdk.Payload.RESULT} & entry.keys():
             return cls(error="no answer")
         if ERROR not in entry:
@@ -83,12 +82,12 @@ class TaskAnswer:
 
 @dataclass(frozen=True)
 class TaskResult:
-    """What came of an errand.
+    """The result of a task.
 
     Attributes:
-        answers: those that are complete.
-        problem: why the process was ended, or how it ended where it gave no whole answer; None if all is well.
-        last: the last line that it printed.
+        answers: the complete answers.
+        problem: why the process was killed, or how it ended without a complete answer; None on success.
+        last_line: last line that the process printed.
     """
 
     answers: list[TaskAnswer]
@@ -97,17 +96,17 @@ class TaskResult:
 
     @property
     def failure(self) -> str:
-        """How the process ended, for who misses answers."""
+        """How the process ended, for missing answers."""
         return self.problem or f"ended without an answer: {self.last_line:.200}"
 
 
 def run(module: str, request: Mapping[str, object], settings: TaskSettings) -> TaskResult:
-    """Run an errand to its end.
+    """Run a task to its end.
 
     Args:
-        module: of the SDK, such as `xpl.worker.inprocess`.
-        request: what it is told: maps, lists, texts, numbers and arrays.
-        settings: where.
+        module: a module of the SDK, such as `xpl.worker.inprocess`.
+        request: its input: maps, lists, texts, numbers and arrays.
+        settings: how it runs.
     """
     with _workspace(settings) as (prefix, folder, environment):
         task = _TaskProcess(_command(module, request, settings, prefix, folder), settings, environment, folder / "log")
@@ -118,22 +117,22 @@ def run(module: str, request: Mapping[str, object], settings: TaskSettings) -> T
 def _command(
     module: str, request: Mapping[str, object], settings: TaskSettings, prefix: tuple[str, ...], folder: Path
 ) -> list[str]:
-    """Write an order into a folder, and return the command that does it and writes its answers there."""
+    """Write a request into a folder, and return the command that writes its answers there."""
     (folder / "asked").write_bytes(b"".join(packed.encode(request)))
     start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
     return spawn.command(settings.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
 
 
 class PersistentTask:
-    """An errand that loads something once, and is then asked several times (`xpl.worker.errand.stand`).
+    """A task that loads an adapter once and then answers several requests (`xpl.worker.errand.stand`).
 
     Args:
-        module: of the SDK.
+        module: a module of the SDK.
         request: what it loads.
-        settings: where; its limit is that of loading.
+        settings: how it runs; its limit applies to loading.
 
     Attributes:
-        loaded: what came of loading.
+        loaded: result of loading.
     """
 
     def __init__(self, module: str, request: Mapping[str, object], settings: TaskSettings) -> None:
@@ -147,7 +146,7 @@ class PersistentTask:
             self._opened = opened.pop_all()
 
     def request(self, content: Mapping[str, object], limit_s: float) -> TaskResult:
-        """Return the answers to an order; none if the errand ended before."""
+        """Return the answers to a request; none if the process has ended."""
         self._requests += 1
         (self._folder / f"asked.{self._requests}").write_bytes(b"".join(packed.encode(content)))
         self._run.write_line(f"{self._requests}\n")
@@ -157,15 +156,15 @@ class PersistentTask:
         return done
 
     def close(self) -> None:
-        """End the process."""
+        """Kill the process."""
         self._opened.close()
 
 
 def _read_answers(path: Path) -> list[TaskAnswer]:
-    """Return the answers that are complete.
+    """Return the complete answers in a file.
 
     Raises:
-        PackingError: if one is none.
+        PackingError: if one is malformed.
     """
     answers: list[TaskAnswer] = []
     if path.is_file() and path.stat().st_size > _MOST_BYTES:
@@ -174,7 +173,7 @@ def _read_answers(path: Path) -> list[TaskAnswer]:
     while len(data) >= LENGTH.size:
         (length,) = LENGTH.unpack_from(data)
         data = data[LENGTH.size :]
-        if length > len(data) or not length:  # which is the end of a standing errand's answers
+        if length > len(data) or not length:  # length 0 ends the answers of a persistent task
             break
         answers.append(TaskAnswer.parse(packed.decode(data[:length])))
         data = data[length:]
@@ -183,7 +182,7 @@ def _read_answers(path: Path) -> list[TaskAnswer]:
 
 @contextlib.contextmanager
 def _workspace(settings: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
-    """Yield what is put before a command, a folder that it may write to, and its environment; as a server has them."""
+    """Yield command prefix, writable folder and environment variables, as for a server."""
     environment = spawn.variables()
     with (
         settings.bounds.isolate_adapter(settings.checkout) as isolation,
@@ -196,7 +195,7 @@ def _workspace(settings: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, 
 
 
 def _count_answers(path: Path) -> tuple[int, bool]:
-    """Return how many answers a file has, as far as their lengths say, and whether it says that these are all."""
+    """Return the number of answers in a file by their lengths, and whether the file is complete."""
     count = offset = 0
     if not path.is_file():
         return 0, False
@@ -206,7 +205,7 @@ def _count_answers(path: Path) -> tuple[int, bool]:
             offset += LENGTH.size + length
             if not length:
                 return count, True
-            if offset > _MOST_BYTES:  # no length of an answer: whatever runs there may have written it
+            if offset > _MOST_BYTES:  # a malformed length: the process can write anything
                 break
             stream.seek(offset)
             count += 1
@@ -214,17 +213,17 @@ def _count_answers(path: Path) -> tuple[int, bool]:
 
 
 class _TaskProcess:
-    """A command in a group of its own."""
+    """A command in a process group of its own."""
 
     def __init__(self, command: list[str], settings: TaskSettings, environment: dict[str, str], log: Path) -> None:
         self._command, self._settings, self._environment, self._log = command, settings, environment, log
 
     @contextlib.contextmanager
     def running(self, stdin: int = subprocess.DEVNULL) -> Iterator[None]:
-        """Start it, and in the end end it and all that it started."""
+        """Start the process; at the end of the block kill it and its descendants."""
         before = {member.pid for member in processes.descendants(os.getpid())}
         processes.adopt_orphans()
-        # A file, not a pipe: a process that the adapter leaves behind would keep a pipe open.
+        # A file, not a pipe: a leftover process of the adapter would keep a pipe open.
         with self._log.open("wb") as output:
             process = subprocess.Popen(
                 self._command,
@@ -247,34 +246,34 @@ class _TaskProcess:
             processes.kill_adopted(before)
 
     def write_line(self, line: str) -> None:
-        """Write a line to its standard input; who waits for an answer will see if it is not there any more."""
+        """Write a line to its standard input, if it still runs."""
         assert self._process.stdin is not None  # noqa: S101 - it was started so
         with contextlib.suppress(OSError):
             self._process.stdin.write(line.encode())
             self._process.stdin.flush()
 
     def wait_answers(self, path: Path, limit_s: float) -> TaskResult:
-        """Return the answers that it writes to a file until it ends, or says that these are all."""
+        """Return the answers that it writes to a file until the file is complete or the process ends."""
         problem = self._wait(path, limit_s)
         try:
             return TaskResult(_read_answers(path), problem, self.last_line)
         except packed.PackingError as error:
-            return TaskResult([], f"wrote what is no answer: {error}", self.last_line)
+            return TaskResult([], f"wrote a malformed answer: {error}", self.last_line)
 
     @property
     def last_line(self) -> str:
-        """The last line that it printed."""
+        """Last line that the process printed."""
         return next((line.strip() for line in reversed(self._lines()) if line.strip()), "it printed nothing")
 
     def _wait(self, path: Path, limit_s: float) -> str | None:
-        """Return why the process was ended before it ended itself or its answers, or None."""
+        """Wait for the answers; return why the process was killed, or None."""
         process, reported = self._process, 0
-        began, size, life = time.monotonic(), -1, None
+        began, size, detector = time.monotonic(), -1, None
         while True:
             now = time.monotonic()
             written = path.stat().st_size if path.is_file() else 0
-            if life is None or written != size:  # another answer: patience begins anew
-                size, life = written, HangDetector(process.pid, self._settings.patience, now)
+            if detector is None or written != size:  # another answer: detection of hangs starts again
+                size, detector = written, HangDetector(process.pid, self._settings.patience, now)
                 count, is_all = _count_answers(path)
                 if count > reported and self._settings.on_answer is not None:
                     self._settings.on_answer(count)
@@ -282,9 +281,9 @@ class _TaskProcess:
                 if is_all:
                     return None
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(min(life.every_s, _EVERY_S))
+                process.wait(min(detector.every_s, _EVERY_S))
                 return None
-            why = life.check(time.monotonic())
+            why = detector.check(time.monotonic())
             if why is None and written > _MOST_BYTES:
                 why = f"wrote answers of more than {_MOST_BYTES} bytes"
             if why is None and time.monotonic() - began > limit_s:
@@ -293,7 +292,7 @@ class _TaskProcess:
                 return self._end_with_stacks(process, why)
 
     def _end_with_stacks(self, process: subprocess.Popen[bytes], why: str) -> str:
-        """Have the process print its stacks, and return why it is ended and where it stood."""
+        """Have the process print its stacks, and return the reason with its innermost frame."""
         inner = processes.launcher_chain(process.pid)[-1] if self._settings.bounds.flags else process.pid
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(inner, signal.SIGUSR1)

@@ -1,4 +1,4 @@
-"""The container recipe of a policy server: a Dockerfile for one adapter, with what its manifest says."""
+"""Dockerfile of a policy server for one adapter, from its manifest."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def recipe(package: Package) -> dict[str, str]:
     """Return the files of the recipe by name, for the adapter's folder.
 
     Raises:
-        UserError: if the adapter's environment cannot be made in a container of this kind.
+        UserError: if the adapter's environment cannot be created in a container.
     """
     import jinja2
 
@@ -42,8 +42,8 @@ def recipe(package: Package) -> dict[str, str]:
     manager = environment.manager
     if manager in ("path", CONDA):
         raise UserError(
-            f"{package.name} runs in an environment of the kind {manager}, which this recipe cannot make",
-            hint="declare one that is made from a lock: manager: uv, lock: requirements.lock.txt",
+            f"{package.name} uses an environment of the kind {manager}, which the Dockerfile cannot create",
+            hint="declare one with a lockfile: manager: uv, lock: requirements.lock.txt",
         )
     locks = [] if plan is None else [path.relative_to(package.path).as_posix() for path in plan.locks()]
     needed = [] if plan is not None else list(environment.requirements)
@@ -73,15 +73,15 @@ def recipe(package: Package) -> dict[str, str]:
 
 
 def write(package: Package, files: dict[str, str]) -> list[str]:
-    """Put the files of a recipe into the adapter's folder, and return the names of those that were not there.
+    """Write the files into the adapter's folder, and return the names of new ones.
 
     Raises:
-        UserError: if one of them is there with other contents.
+        UserError: if one of them exists with other content.
     """
     for name, text in files.items():
         path = package.path / name
         if path.exists() and path.read_text(encoding="utf-8") != text:
-            raise UserError(f"{path} is there already with other contents: it stays as it is", hint="move it away")
+            raise UserError(f"{path} exists with other content and is kept", hint="move it away")
     new = [name for name in files if not (package.path / name).exists()]
     for name in new:
         atomic.write_file(package.path / name, files[name].encode())

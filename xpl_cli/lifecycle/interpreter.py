@@ -1,8 +1,7 @@
-"""Which interpreter runs an adapter: the tool's own, a path, a virtual environment or a conda environment.
+"""Select the interpreter of an adapter: the tool's own, a path, a virtual environment or a conda environment.
 
-What a command line says comes first: `--python`, then `--env`. Otherwise `environment` in policy.yml decides; what
-`xpl install` made from it is found by itself. There is no further source, and no fallback: an interpreter that was
-asked for and is not there is an error.
+The command line comes first: `--python`, then `--policy-env`. Otherwise `environment` in policy.yml decides, with the
+environment that `xpl install` created. There is no other source and no fallback: a missing interpreter is an error.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 _warned: set[Path] = set()
 _OWN = "none"
 _NOT_GIVEN = frozenset(("", "-", "null"))
-"""What launchers put where an argument is not given."""
+"""Placeholders of launchers for an argument that is not given."""
 
 
 def resolve(
@@ -38,13 +37,13 @@ def resolve(
 
     Args:
         policy_dir: folder of the adapter; relative environment folders start there.
-        environment: what its manifest declares; it counts if neither option is given.
+        environment: declaration of its manifest, used if neither option is given.
         python: path of an interpreter, or the name of one on PATH.
         env: `conda:NAME`, `uv:DIR`, `venv:DIR`, the name of a conda environment, or `none` for the tool's own; `-`,
-            `null` and nothing are as good as not given, since the launch scripts have an argument for it.
+            `null` and an empty text count as not given, since launch scripts always pass the argument.
 
     Raises:
-        UserError: if what was asked for does not exist.
+        UserError: if the requested interpreter does not exist.
     """
     if python:
         return _executable(_path(python))
@@ -57,7 +56,7 @@ def resolve(
 
 
 def _declared(policy_dir: Path, environment: PythonEnvironment) -> str:
-    """Return the interpreter that policy.yml says."""
+    """Return the interpreter that policy.yml declares."""
     manager = environment.manager
     if manager == "none":
         return sys.executable
@@ -79,17 +78,17 @@ def _managed(manager: str, name: str, policy_dir: Path) -> str:
 
 
 def _in_folder(folder: Path, policy_dir: Path) -> str:
-    # The environment itself, not the link to it: whoever starts in it stays in it when another one is installed.
+    # The environment itself, not the link to it: a running process keeps it when another one is installed.
     hint = f"`xpl install {content.package_argument(policy_dir)}`"
     return _executable(folder.resolve() / "bin" / "python", hint=hint)
 
 
 def _warn_if_outdated(plan: EnvironmentPlan) -> None:
-    """Say once that an environment was made from something else than its manifest and lock say now."""
+    """Warn once if an environment is outdated by its manifest or lockfile."""
     try:
         outdated = condition(plan) == "outdated"
     except UserError:
-        return  # who needs the lock says what is wrong with it
+        return  # commands that need the lockfile report the error
     if outdated and plan.base not in _warned:
         _warned.add(plan.base)
         console.note(f"warning: the environment of {plan.package} is not the declared one; xpl install {plan.base}")
@@ -98,7 +97,7 @@ def _warn_if_outdated(plan: EnvironmentPlan) -> None:
 def _conda_prefix(name: str) -> Path:
     conda = next(filter(None, map(shutil.which, CONDAS)), None)
     if conda is None:
-        raise UserError(f"conda environment {name!r} was asked for, but conda is not on PATH", code=ExitCode.NOT_RUN)
+        raise UserError(f"conda environment {name!r} was requested, but conda is not on PATH", code=ExitCode.NOT_RUN)
     listed = subprocess.run([conda, "env", "list", "--json"], capture_output=True, text=True, check=False, timeout=60)
     prefixes = [Path(prefix) for prefix in json_text.parse(listed.stdout or "{}").get("envs", [])]
     for prefix in prefixes:
@@ -109,7 +108,7 @@ def _conda_prefix(name: str) -> Path:
 
 
 def _path(python: str) -> Path:
-    """Return where an interpreter lies: what has no slash is looked for on PATH first, as by a shell."""
+    """Return the path of an interpreter; a name without a slash is searched on PATH first, as by a shell."""
     return Path((os.sep not in python and shutil.which(python)) or python)
 
 
@@ -118,7 +117,7 @@ def _executable(path: Path, hint: str | None = None) -> str:
     try:
         found = path.expanduser().absolute()
         is_there = found.is_file()
-    except (OSError, RuntimeError):  # a name that no system bears; a home folder of nobody
+    except (OSError, RuntimeError):  # an invalid name; the home folder of an unknown user
         is_there = False
     if not is_there:
         raise UserError(f"there is no interpreter at {path}", hint=hint, code=ExitCode.NOT_RUN)

@@ -1,4 +1,4 @@
-"""Installation, data processing and training of one adapter: the author's own scripts, in the policy's interpreter."""
+"""Installation, data processing and training of an adapter, by its own scripts in the policy's interpreter."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ if TYPE_CHECKING:
     from xpl_cli.packages.package import Package
 
 CONFIG_VARIABLE = "XPL_CONFIG"
-"""Environment variable that hands the configuration of a run to an author's script, as JSON."""
+"""Environment variable with the configuration of a run for a script, as JSON."""
 
 MANIFEST_VARIABLE = "XPL_MANIFEST"
-"""Environment variable that hands it policy.yml, as JSON: its own Python need not read YAML (`xpl.training`)."""
+"""Environment variable with policy.yml for a script, as JSON: its Python need not read YAML (`xpl.training`)."""
 
 PATH_VARIABLE = "PYTHONPATH"
 
 
 def install(folder: Path, environment: PythonEnvironment, *, force: bool = False) -> environments.InstalledEnvironment:
-    """Make the environment that a manifest declares unless it is there, and return its interpreter.
+    """Create the environment that a manifest declares unless it is current, and return it.
 
     Args:
-        folder: the adapter's or environment's.
+        folder: folder of the package.
         environment: what its policy.yml or env.yml declares.
-        force: make it anew although it is there.
+        force: create it again.
 
     Raises:
-        UserError: if it cannot be made; what was there before stays.
+        UserError: if it cannot be created; the former one is kept.
     """
     plan = plan_of(folder, environment)
     if plan is None:
@@ -55,7 +55,7 @@ def install(folder: Path, environment: PythonEnvironment, *, force: bool = False
 
 
 def condition(folder: Path, environment: PythonEnvironment) -> str:
-    """Return how the environment of a package is: "current", "outdated", "missing", "foreign", or "given"."""
+    """Return the state of a package's environment: "current", "outdated", "missing", "foreign", or "given"."""
     plan = plan_of(folder, environment)
     return "given" if plan is None else environments.condition(plan)
 
@@ -70,9 +70,8 @@ def run_script(
     whatever is installed there. With `to_stderr` the script's output goes to standard error.
 
     Raises:
-        NotFoundError: if the author has not written the script.
-        UserError: if the adapter is declared to be for evaluation only, or the script fails; its exit code is in the
-            message.
+        NotFoundError: if the adapter has no such script.
+        UserError: if the adapter is for evaluation only, or the script fails; the message has its exit code.
     """
     if package.manifest.evaluation_only:
         raise UserError(
@@ -87,9 +86,9 @@ def run_script(
         )
     config = package.config(overrides)
     config["run_name"] = checkpoint.run_name(config)
-    handed = {CONFIG_VARIABLE: json.dumps(config), MANIFEST_VARIABLE: json.dumps(dict(package.manifest.data))}
-    environment = {**os.environ, **handed}
-    environment.pop("PYTHONHOME", None)  # the tool's own must not lead the policy's interpreter astray
+    variables = {CONFIG_VARIABLE: json.dumps(config), MANIFEST_VARIABLE: json.dumps(dict(package.manifest.data))}
+    environment = {**os.environ, **variables}
+    environment.pop("PYTHONHOME", None)  # the tool's own must not redirect the policy's interpreter
     if gpu is not None:
         environment["CUDA_VISIBLE_DEVICES"] = gpu
     python = interpreter.resolve(package.path, package.manifest.environment)
@@ -106,12 +105,12 @@ def run_script(
 
 @contextmanager
 def _sdk_alone() -> Iterator[str]:
-    """Yield a folder that has `xpl` to import and nothing else: neither this tool nor what lies beside it."""
+    """Yield a folder that makes only `xpl` importable, without this tool and its neighbours."""
     with tempfile.TemporaryDirectory(prefix="xpl-sdk-") as folder:
         (Path(folder) / xpl.__name__).symlink_to(Path(xpl.__file__).parent, target_is_directory=True)
         yield folder
 
 
 def gpu_setting(gpu: str | None) -> dict[str, str]:
-    """Return the override that tells a configuration which device was asked for."""
+    """Return the configuration override for a device."""
     return {} if gpu is None else {sdk.Deploy.GPU_ID: gpu}

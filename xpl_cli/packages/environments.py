@@ -54,7 +54,7 @@ def find(name: str) -> Path:
     if candidate is None:
         raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
     found = candidate.resolve()
-    robots.learn(found)
+    robots.register_robots(found)
     return found
 
 

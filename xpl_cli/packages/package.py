@@ -100,7 +100,7 @@ def find_policy(path: Path | str) -> Path:
     for candidate in candidates:
         if candidate.is_dir() and any((candidate / name).is_file() for name in MARKS):
             found = candidate.resolve()
-            robots.learn(found)
+            robots.register_robots(found)
             return found
     if given.is_dir():
         raise NotFoundError(

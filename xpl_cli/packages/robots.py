@@ -31,7 +31,7 @@ _MOST_BYTES: Final = 1 << 20
 _read: dict[Path, tuple[int, int]] = {}  # what was read already: time and size
 
 
-def learn(package: Path | None = None) -> None:
+def register_robots(package: Path | None = None) -> None:
     """Make the robots known that a package and its project, the working directory and installed packages describe.
 
     Args:
@@ -44,32 +44,32 @@ def learn(package: Path | None = None) -> None:
     """
     for folder, source in registry.folders(registry.ROBOTS).items():
         try:
-            _learn(folder, f" of {source.distribution}")
+            _register_folder(folder, f" of {source.distribution}")
         except UserError as error:
             raise source.unusable(str(error)) from None
     for folder in dict.fromkeys(_folders(package)):
-        _learn(folder)
+        _register_folder(folder)
 
 
-def named(word: str | None, package: Path | None = None) -> str | None:
+def canonical_name(word: str | None, package: Path | None = None) -> str | None:
     """Return the name of the robot that a word stands for; the word itself where none is called so.
 
     Args:
         word: what the user wrote, such as a benchmark's name of a robot.
         package: folder of an adapter or environment, which need not exist yet.
     """
-    learn(package)
+    register_robots(package)
     return None if word is None else sdk_robots.canonical(word) or word
 
 
-def described(name: str) -> dict[str, Any]:
+def recorded_description(name: str) -> dict[str, Any]:
     """Return what the configuration of a recorded run says of its robot: its entry, if only the project knows it."""
     if sdk_robots.origin(name) == sdk_robots.OURS:
         return {}
     return {DESCRIPTION: dict(sdk_robots.entries()[name])}
 
 
-def meet(config: Config, where: str) -> None:
+def register_recorded(config: Config, where: str) -> None:
     """Make the robot of a recorded run known where it is not.
 
     Args:
@@ -95,7 +95,7 @@ def meet(config: Config, where: str) -> None:
         raise UserError(str(error), code=ExitCode.NOT_RUN) from None
 
 
-def files(package: Path | None = None) -> list[Path]:
+def robot_files(package: Path | None = None) -> list[Path]:
     """Return the files that describe robots of a package, its project and the working directory."""
     return [path for folder in dict.fromkeys(_folders(package)) for path in sorted(folder.glob("*.yml"))]
 
@@ -109,7 +109,7 @@ def _folders(package: Path | None) -> Iterator[Path]:
         yield place / FOLDER
 
 
-def _learn(folder: Path, whose: str = "") -> None:
+def _register_folder(folder: Path, whose: str = "") -> None:
     """Make the robots of a folder known; `whose` says of which distribution, for messages."""
     if not folder.is_dir():
         return

@@ -15,7 +15,7 @@ _ENV_YML = package.MANIFESTS[package.ENV]
 
 
 @dataclass(frozen=True)
-class Target:
+class AuditTarget:
     """One package to audit.
 
     Attributes:
@@ -29,7 +29,7 @@ class Target:
     shown: str
 
 
-def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
+def requested_targets(paths: Iterable[Path], *, every: bool = False) -> list[AuditTarget]:
     """Return the packages of a request, each once.
 
     Args:
@@ -48,7 +48,7 @@ def asked(paths: Iterable[Path], *, every: bool = False) -> list[Target]:
     return unique(found)
 
 
-def find_target(path: Path) -> Target:
+def find_target(path: Path) -> AuditTarget:
     """Return the package at a path, or of a name: below `policy/` or `envs/` here, ours, or installed.
 
     Raises:
@@ -70,7 +70,7 @@ def find_target(path: Path) -> Target:
         return _target(shared.resolve(), package.ENV)
 
 
-def find_all() -> list[Target]:
+def find_all() -> list[AuditTarget]:
     """Return every package below `policy/` and `envs/` of the working directory, by name.
 
     Raises:
@@ -90,7 +90,7 @@ def find_all() -> list[Target]:
     return unique(found)
 
 
-def holding(file: Path) -> Path | None:
+def package_of(file: Path) -> Path | None:
     """Return the package that a file belongs to: the outermost, because models vendor whole repositories."""
     return next((folder for folder in reversed(file.parents) if is_package(folder)), None)
 
@@ -103,13 +103,13 @@ def is_package(folder: Path) -> bool:
     return folder.parent.name == _POLICIES and any((folder / name).is_file() for name in held)
 
 
-def unique(targets: Iterable[Target]) -> list[Target]:
+def unique(targets: Iterable[AuditTarget]) -> list[AuditTarget]:
     """Return the packages without repetitions, in their order."""
     return list({target.path: target for target in targets}.values())
 
 
-def _target(folder: Path, kind: str) -> Target:
-    robots.learn(folder)
+def _target(folder: Path, kind: str) -> AuditTarget:
+    robots.register_robots(folder)
     here = Path.cwd()
     shown = folder.relative_to(here).as_posix() if folder.is_relative_to(here) else folder.as_posix()
-    return Target(folder, kind, shown or ".")
+    return AuditTarget(folder, kind, shown or ".")

@@ -46,7 +46,7 @@ def entries() -> dict[str, dict[str, Any]]:
 
 
 @cache
-def words() -> dict[str, str]:
+def aliases() -> dict[str, str]:
     """Return what benchmarks call robots where no entry says so, with the robot's name."""
     return dict(spec.read_yaml(folder() / _ALIASES))
 
@@ -67,7 +67,7 @@ def check() -> Iterator[Problem]:
             taken[word] = entry["name"]
         if not entry.get("sources"):
             yield Problem(("sources",), "numbers without a source", file=shown)
-    for word, name in words().items():
+    for word, name in aliases().items():
         shown = f"robots/{_ALIASES}"
         if word in taken:
             yield Problem((word,), f"the name {word} is taken by {taken[word]}", file=shown)

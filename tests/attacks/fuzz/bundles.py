@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 
 def one_input(data: bytes) -> None:

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 
 NESTED = 300
 

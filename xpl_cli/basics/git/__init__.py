@@ -1,1 +1,1 @@
-"""Git repositories, read; nothing is written, and nothing of theirs is run. No other place of the tool calls git."""
+"""Read-only access to git repositories, without running any of their code. No other module calls git."""

@@ -1,4 +1,4 @@
-"""Whether a file still holds what git recorded of it, found out without git: no filter and no conversion runs."""
+"""Compare files with recorded blobs without git, so that no filter or conversion runs."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _LFS: Final = re.compile(rb"version https://git-lfs\.github\.com/spec/v1\n.*?oid
 
 
 def matches_blob(file: Path, blob: str, *, executable: bool | None, link: bool) -> bool:
-    """Tell whether a file holds the bytes of a blob, or their lines with the line ends of DOS.
+    """Tell whether a file has the content of a blob, also with CRLF line ends.
 
     Args:
-        file: the file; gone, or anything but a file or a link, it is not the same.
+        file: the file; a missing one, or anything but a file or a link, does not match.
         blob: id.
-        executable: whether the blob is recorded as a program; None if that does not count.
-        link: whether the blob is recorded as a link, and holds where it leads.
+        executable: whether the blob is recorded as executable; None to ignore the mode.
+        link: whether the blob is recorded as a link and holds its target.
     """
     try:
-        found = file.lstat()
-        if link or not stat.S_ISREG(found.st_mode):
-            return link and stat.S_ISLNK(found.st_mode) and _id(os.fsencode(file.readlink()), blob) == blob
-        if executable is not None and executable is not bool(found.st_mode & stat.S_IXUSR):
+        status = file.lstat()
+        if link or not stat.S_ISREG(status.st_mode):
+            return link and stat.S_ISLNK(status.st_mode) and _id(os.fsencode(file.readlink()), blob) == blob
+        if executable is not None and executable is not bool(status.st_mode & stat.S_IXUSR):
             return False
-        return _streamed(file, found.st_size, blob) == blob or _has_other_line_ends(file, found.st_size, blob)
+        return _streamed(file, status.st_size, blob) == blob or _has_other_line_ends(file, status.st_size, blob)
     except OSError:
         return False
 
@@ -51,19 +51,19 @@ def _has_other_line_ends(file: Path, size: int, blob: str) -> bool:
 
 
 def matches_lfs_pointer(file: Path, pointer: bytes) -> bool:
-    """Tell whether a file holds what a pointer of Git LFS stands for."""
-    found = _LFS.match(pointer)
+    """Tell whether a file has the content of a Git LFS pointer."""
+    match = _LFS.match(pointer)
     try:
-        if found is None or not file.is_file() or file.is_symlink():
+        if match is None or not file.is_file() or file.is_symlink():
             return False
         with file.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest() == found.group(1).decode()
+            return hashlib.file_digest(stream, "sha256").hexdigest() == match.group(1).decode()
     except OSError:
         return False
 
 
 def _id(content: bytes, alike: str) -> str:
-    """Return the id of a blob, by the hash that another id was made with."""
+    """Return the id of a blob, by the hash function of another id."""
     state = _state(alike, len(content))
     state.update(content)
     return state.hexdigest()

@@ -1,11 +1,10 @@
-"""The one place that runs git: commands that only read, on a repository that is named and never looked for.
+"""Run read-only git commands, with explicit paths of repository and work tree.
 
-Whoever may write into a work tree may put there what git takes for a repository: a folder with `HEAD`, `objects`,
-`refs` and a `config` whose `core.fsmonitor` is a command. So git is never started where it would search: it gets the
-repository and the work tree by name (`place.py` finds them), and every setting that could run something is overruled,
-because even the user's own `.git/config` may include a file of the branch. Only these commands are asked for:
-`rev-parse`, `merge-base`, `ls-tree`, `ls-files`, `cat-file`, `config`. None of them filters, converts or compares
-content, so no attribute of a branch matters.
+A third party's branch may contain a folder that git takes for a repository: with `HEAD`, `objects`, `refs` and a
+`config` whose `core.fsmonitor` is a command. So git never searches for its repository: it gets repository and work tree
+by name (`discovery.py` finds them), and every setting that could run a command is overridden, because even the user's
+own `.git/config` may include a file of the branch. Only these commands are run: `rev-parse`, `merge-base`, `ls-tree`,
+`ls-files`, `cat-file`, `config`. None of them filters, converts or compares content, so attributes do not matter.
 """
 
 from __future__ import annotations
@@ -36,8 +35,8 @@ _OVERRULED: Final = {
     "submodule.recurse": "false",
 }
 _ENVIRONMENT: Final = {
-    "GIT_ALLOW_PROTOCOL": "none",  # stronger than `protocol.NAME.allow`; a missing object is not fetched
-    "GIT_GRAFT_FILE": os.devnull,  # else .git/info/grafts says where a branch began
+    "GIT_ALLOW_PROTOCOL": "none",  # stronger than `protocol.NAME.allow`; missing objects are not fetched
+    "GIT_GRAFT_FILE": os.devnull,  # otherwise .git/info/grafts could move the merge base
     "GIT_NO_LAZY_FETCH": "1",
     "GIT_NO_REPLACE_OBJECTS": "1",
     "GIT_OPTIONAL_LOCKS": "0",
@@ -46,9 +45,9 @@ _ENVIRONMENT: Final = {
     "LC_ALL": "C",
 }
 _LONGEST_S: Final = 60.0
-"""Patterns of stars are matched in exponential time, and whoever changes a package may write some."""
+"""Longest run time: matching an untrusted .gitignore pattern can take exponential time."""
 _MOST_BYTES: Final = 64 << 20
-"""Of an answer: some 500,000 files of a listing."""
+"""Largest output: a listing of some 500,000 files."""
 _MOST_SAID: Final = 4096
 _READING: Final = frozenset(("rev-parse", "merge-base", "ls-tree", "ls-files", "cat-file", "config"))
 
@@ -58,7 +57,7 @@ class Git:
     """A repository and its work tree.
 
     Attributes:
-        directory: the repository, what `.git` is or leads to.
+        directory: the repository that `.git` is or points to.
         root: top of the work tree.
     """
 
@@ -66,15 +65,15 @@ class Git:
     root: Path
 
     def text(self, command: str, *arguments: str) -> str:
-        """Return what a command answers; bytes that are no text become surrogates."""
+        """Return the output of a command; undecodable bytes become surrogates."""
         return self.answer(command, *arguments).decode(errors="surrogateescape")
 
     def answer(self, command: str, *arguments: str, asked: bytes = b"") -> bytes:
-        """Return what a command answers to what it is asked on its standard input.
+        """Return the output of a command for an input on its standard input.
 
         Raises:
-            UserError: if it fails, takes a minute, answers too much, or there is no git.
-            ValueError: if it is none of the commands that only read.
+            UserError: if it fails, takes over a minute, has too much output, or git is missing.
+            ValueError: if it is no read-only command.
         """
         if command not in _READING:
             raise ValueError(f"git {command} is not among the commands that only read")
@@ -90,7 +89,7 @@ class Git:
             except FileNotFoundError:
                 raise UserError("what changed needs git, which is not on PATH") from None
             except ValueError:  # a NUL in an argument
-                raise UserError("what is asked of git holds a NUL, which no name in git has") from None
+                raise UserError("an argument of git holds a NUL, which no name in git has") from None
             answer = self._read(process, command)
             if process.returncode:
                 said.seek(0)
@@ -99,10 +98,10 @@ class Git:
         return answer
 
     def _read(self, process: subprocess.Popen[bytes], command: str) -> bytes:
-        """Return what a command writes until it ends.
+        """Return the output of a process.
 
         Raises:
-            UserError: it takes a minute, or writes more than a repository of code has.
+            UserError: if it takes over a minute, or writes more than a repository of code has.
         """
         late = threading.Timer(_LONGEST_S, process.kill)
         with process:
@@ -129,6 +128,6 @@ class Git:
         return answer
 
     def _environment(self) -> dict[str, str]:
-        """Return the environment; what whoever called the tool set for its own calls of git does not count."""
+        """Return the environment variables, without the caller's git variables."""
         kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
         return kept | _ENVIRONMENT | {"GIT_DIR": str(self.directory), "GIT_WORK_TREE": str(self.root)}

@@ -26,15 +26,15 @@ def work_tree(folder: Path) -> Git | None:
 
 
 def of_package(package: Path, here: Path) -> Git | None:
-    """Return the repository that tells what changed in a package; None if there is none.
+    """Return the repository of a package, or None.
 
     Args:
         package: its folder.
         here: the working directory.
 
     Raises:
-        UserError: if the package lies in a repository inside another one, and the user does not stand in that: what
-            the inner one says of the package, its author may have made up.
+        UserError: if the package lies in a nested repository and the working directory does not: the package's
+            author may have forged the history of the nested one.
     """
     package = package.resolve()
     inner, outer, *_ = (*_above(package), None, None)
@@ -51,7 +51,7 @@ def of_package(package: Path, here: Path) -> Git | None:
 
 
 def nested(package: Path, inner: Path, outer: Path) -> UserError:
-    """Return the error that says that a package lies in a repository inside another one."""
+    """Return the error for a package in a nested repository."""
     return UserError(
         f"{package} lies in a repository of its own ({inner}) inside the repository {outer}, which cannot tell what "
         "changed there: expected a package among the files of one repository",
@@ -60,7 +60,7 @@ def nested(package: Path, inner: Path, outer: Path) -> UserError:
 
 
 def _above(folder: Path) -> Iterator[Git]:
-    """Yield the repositories that have a folder in their work tree, the innermost first."""
+    """Yield the repositories around a folder, the innermost first."""
     for root in (folder, *folder.parents):
         directory = _directory(root / _MARK)
         if directory is not None:
@@ -68,7 +68,7 @@ def _above(folder: Path) -> Iterator[Git]:
 
 
 def _directory(mark: Path) -> Path | None:
-    """Return the repository that a `.git` is, or leads to from a linked work tree or a submodule."""
+    """Return the repository that `.git` is or points to, as in a linked work tree or a submodule."""
     try:
         if mark.is_dir():
             return mark if (mark / "HEAD").exists() else None
@@ -85,5 +85,5 @@ def _directory(mark: Path) -> Path | None:
 
 
 def _is_bare(folder: Path) -> bool:
-    """Tell whether git would take a folder for a repository without a work tree."""
+    """Tell whether git would take a folder for a bare repository."""
     return all((folder / name).exists() for name in ("HEAD", "objects", "refs"))

@@ -1,7 +1,7 @@
-"""A git repository, read: where a branch began, what changed since, what files held. Nothing is written.
+"""Read-only history of a git repository: merge bases, changed files, former contents.
 
-Other people's branches are looked at, so nothing that they hold is run: no filter, no hook, no external diff. Git only
-tells what it recorded; whether a file still holds that is found out by reading the file (`blobs.py`).
+Branches are untrusted, so none of their code runs: no filter, no hook, no external diff. Git only lists what it
+recorded; changes of files are detected by reading them (`blobs.py`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _FILE_MODES: Final = frozenset(("100644", _PROGRAM))
 _LINK: Final = "120000"
 _MODULE: Final = "160000"
 _LEFT_OUT: Final = "S"
-"""What git says of a file that a sparse checkout does not write."""
+"""Git's mark of a file that a sparse checkout leaves out."""
 _LARGEST_POINTER: Final = 1024
 """Bytes; a pointer of Git LFS has fewer."""
 
@@ -51,19 +51,19 @@ class Repository:
 
     @classmethod
     def of(cls, folder: Path) -> Repository:
-        """Return the work tree that the user stands in.
+        """Return the work tree of the working directory.
 
         Raises:
-            UserError: if it is none.
+            UserError: if there is none.
         """
         return cls._required(discovery.work_tree(folder), folder)
 
     @classmethod
     def of_package(cls, package: Path, here: Path) -> Repository:
-        """Return the work tree that tells what changed in a package.
+        """Return the work tree of a package.
 
         Raises:
-            UserError: if it lies in none, or in one that lies inside another one (see `place.of_package`).
+            UserError: if there is none, or it is nested inside another one (see `discovery.of_package`).
         """
         return cls._required(discovery.of_package(package, here), package)
 
@@ -74,7 +74,7 @@ class Repository:
         return cls(git)
 
     def base(self, ref: str) -> str:
-        """Return the commit where HEAD and a branch, tag or commit parted; that commit itself if nobody can tell.
+        """Return the merge base of HEAD and a branch, tag or commit; that commit itself if there is none.
 
         Raises:
             UserError: if there is no such commit.
@@ -82,14 +82,14 @@ class Repository:
         return _base(self.git, ref)
 
     def changed(self, base: str | None, inside: Sequence[Path] = ()) -> set[Path]:
-        """Return the files that differ from a commit, those not committed or not even added included.
+        """Return the files that differ from a commit, including uncommitted and untracked ones.
 
         Args:
-            base: the commit; None stands for one that holds nothing.
+            base: the commit; None for an empty one.
             inside: only those in these folders.
 
         Returns:
-            absolute paths; of files that are gone, too. Of a repository within this one, its folder.
+            absolute paths, also of deleted files; for a repository within this one, its folder.
         """
         limits = [folder.relative_to(self.root).as_posix() for folder in inside]
         limits = [] if "." in limits else limits
@@ -105,22 +105,22 @@ class Repository:
         return {self.root / name for name in differing - self._lfs_unchanged(before, differing)}
 
     def unrecorded(self, folder: Path) -> list[str]:
-        """Return the files below a folder that the last commit has otherwise or not at all, named from the top."""
+        """Return the files below a folder that differ from the last commit, as paths from the top."""
         try:
             head = _commit(self.git, "HEAD")
-        except UserError:  # nothing is committed yet
+        except UserError:  # no commit yet
             head = None
         return sorted(path.relative_to(self.root).as_posix() for path in self.changed(head, [folder]))
 
     def text(self, commit: str, name: str) -> str | None:
-        """Return what a file, named from the top, held in a commit; None if it was not there."""
+        """Return the content of a file in a commit, by its path from the top; None if it is missing."""
         try:
             return self.git.text("cat-file", "blob", f"{commit}:{name}")
         except UserError:
             return None
 
     def has(self, commit: str, name: str) -> bool:
-        """Tell whether a commit has a file or folder, named from the top."""
+        """Tell whether a commit has a file or folder, by its path from the top."""
         try:
             self.git.text("cat-file", "-e", f"{commit}:{'' if name == '.' else name}")
         except UserError:
@@ -128,18 +128,18 @@ class Repository:
         return True
 
     def export(self, commit: str, name: str, target: Path, *, largest: int) -> bool:
-        """Write the files that a folder had in a commit below another folder, under the same names.
+        """Write the files of a folder in a commit below another folder, with the same paths.
 
-        Links are left out, and so are files that are larger: what asks for this reads code.
+        Links and larger files are left out: callers read code.
 
         Args:
             commit: the commit.
-            name: the folder, from the top.
-            target: folder that stands for the top.
-            largest: bytes.
+            name: path of the folder from the top.
+            target: folder that represents the top.
+            largest: largest file, bytes.
 
         Returns:
-            whether there were any.
+            whether there were any files.
         """
         entries = [(blob, path) for blob, path, size in self._listed(commit, name) if size <= largest]
         for (_, path), content in zip(entries, self._contents([blob for blob, _ in entries]), strict=True):
@@ -151,7 +151,7 @@ class Repository:
         """Yield id, path and size of the files of a folder.
 
         Raises:
-            UserError: the repository lacks one.
+            UserError: if a blob is missing from the repository.
         """
         inside = [] if name == "." else [f"{name}/"]
         told = self.git.text("ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)

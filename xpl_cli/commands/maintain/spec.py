@@ -32,7 +32,7 @@ def show(
     from xpl_cli.packages import robots
     from xpl_cli.standard import spec, view
 
-    robots.learn()
+    robots.register_robots()
     answer = view.view(name)
     if as_json:
         following = ["xpl spec show policy"] if name is None else []
@@ -86,9 +86,9 @@ def compile_(
     from xpl_cli.derived import compiler
 
     root = _checkout()
-    files = compiler.derived(context.find_root().command)
+    files = compiler.generated_files(context.find_root().command)
     old = [name for name, content in files.items() if not _holds(root / name, content)]
-    left_over = compiler.left_over(root)
+    left_over = compiler.obsolete_pages(root)
     for name in old if not check else ():
         (root / name).parent.mkdir(parents=True, exist_ok=True)
         atomic.write_file(root / name, files[name])

@@ -16,9 +16,9 @@ def hook(
     fail_on: str | None = typer.Option(None, "--fail-on", help="As for xpl audit."),
 ) -> None:
     """Audit, by the static gate, the policies and environments that hold these files; files of none are passed over."""
-    from xpl_cli.packages.targets import holding
+    from xpl_cli.packages.targets import package_of
 
-    packages = {package: None for file in files or () if (package := holding(file)) is not None}
+    packages = {package: None for file in files or () if (package := package_of(file)) is not None}
     if packages:
         options = [f"--select={name}" for name in select] + [f"--ignore={name}" for name in ignore]
         options += [] if fail_on is None else [f"--fail-on={fail_on}"]

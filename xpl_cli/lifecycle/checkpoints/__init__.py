@@ -1,1 +1,1 @@
-"""Checkpoints that policy.yml specifies: brought from where they are, checked by digest, kept by content."""
+"""Checkpoints of policy.yml: fetch them, and verify their digests."""

@@ -1,4 +1,4 @@
-"""The files of a checkpoint, and the digests by which they are known again."""
+"""Files and digests of a checkpoint."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from xpl_cli.lifecycle.checkpoints.specification import check_path, digest_of
 
 
 def list_files(folder: Path) -> list[CheckpointFile]:
-    """Return the files below a folder with their sizes, sorted; what begins with a dot is no part of a checkpoint.
+    """Return the files below a folder with their sizes, sorted; names that begin with a dot are skipped.
 
     Raises:
-        UserError: if a folder in it is a link, which may lead anywhere, or a name cannot be written down.
+        UserError: if it contains a link to a folder, or an invalid name.
     """
-    found = []
-    for place, folders, names in os.walk(folder):
+    files = []
+    for parent, folders, names in os.walk(folder):
         folders[:] = sorted(name for name in folders if not name.startswith("."))
         for name in folders:
-            if (Path(place) / name).is_symlink():
-                raise UserError(f"{Path(place) / name} is a link to a folder, which is not followed")
+            if (Path(parent) / name).is_symlink():
+                raise UserError(f"{Path(parent) / name} is a link to a folder, which is not followed")
         for name in sorted(names):
-            path = Path(place) / name
+            path = Path(parent) / name
             if not name.startswith(".") and path.is_file():
                 relative = check_path(path.relative_to(folder).as_posix(), str(folder))
-                found.append(CheckpointFile(relative, size=path.stat().st_size))
-    return found
+                files.append(CheckpointFile(relative, size=path.stat().st_size))
+    return files
 
 
 def sha256_of(path: Path) -> str:
@@ -38,9 +38,9 @@ def sha256_of(path: Path) -> str:
 
 
 def hash_checkpoint(path: Path) -> tuple[str, list[CheckpointFile]]:
-    """Return the digest of a checkpoint and its files with theirs."""
+    """Return the digest of a checkpoint, and its files with their digests."""
     if path.is_file():
-        found = sha256_of(path)
-        return found, [CheckpointFile(path.name, found, path.stat().st_size)]
+        digest = sha256_of(path)
+        return digest, [CheckpointFile(path.name, digest, path.stat().st_size)]
     files = [CheckpointFile(file.path, sha256_of(path / file.path), file.size) for file in list_files(path)]
     return digest_of(files), files

@@ -1,8 +1,7 @@
-"""A checkpoint brought here, checked, and made what its name means in an adapter.
+"""Fetch a checkpoint, verify it, and link it into an adapter.
 
-One of this machine stays where it is. One of the Hugging Face hub is brought by the hub's own client into its own
-cache, which has the user's login, proxies and mirrors, and goes on with what was cut. Nothing is opened, unpacked or
-loaded.
+A local checkpoint stays where it is. One of the Hugging Face hub is downloaded by the hub's client into its cache, with
+the user's login, proxies and mirrors; it resumes interrupted downloads. No file is opened, unpacked or loaded.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class FetchedCheckpoint:
-    """A checkpoint that is here.
+    """A local checkpoint.
 
     Attributes:
         path: its folder, or its one file.
-        digest: of its content.
-        state: "there" if nothing had to be brought, else "fetched".
-        files: with their digests.
+        digest: digest of its content.
+        state: "there" if it was local already, else "fetched".
+        files: its files with their digests.
     """
 
     path: Path
@@ -44,13 +43,13 @@ class FetchedCheckpoint:
 
 @dataclass(frozen=True)
 class CheckpointDifference:
-    """What is not as policy.yml says.
+    """A difference between a checkpoint and policy.yml.
 
     Attributes:
-        path: of a file in the checkpoint; empty for all of it.
+        path: path of a file in the checkpoint; empty for the whole checkpoint.
         what: missing, size or sha256.
-        expected: by policy.yml.
-        got: what is there.
+        expected: value of policy.yml.
+        got: actual value.
     """
 
     path: str
@@ -60,21 +59,21 @@ class CheckpointDifference:
 
 
 def fetch(specification: CheckpointSpec, *, unverified: bool = False, force: bool = False) -> FetchedCheckpoint:
-    """Bring a checkpoint unless it is here, and check it.
+    """Fetch a checkpoint unless it is local, and verify it.
 
     Args:
         specification: the checkpoint.
-        unverified: take what comes where policy.yml gives no digest, so that its author can write it there.
-        force: have the hub's client bring it although it is here.
+        unverified: accept a checkpoint without digest in policy.yml, so that its author can add it.
+        force: download it again.
 
     Raises:
-        NotFoundError: if it is not where it should be.
-        UserError: if it cannot be had, or is not what the manifest says.
+        NotFoundError: if the source does not exist.
+        UserError: if it cannot be fetched, or differs from policy.yml.
     """
     if specification.digest is None and not unverified:
         raise UserError(
-            f"checkpoint {specification.name!r} has no sha256 in policy.yml: what arrives could not be checked",
-            hint="--unverified fetches it all the same, once, and prints the sha256 to write there",
+            f"checkpoint {specification.name!r} has no sha256 in policy.yml, so it cannot be verified",
+            hint="--unverified fetches it anyway and prints the sha256 to add",
         )
     there = None if force else local_path(specification)
     if there is not None:
@@ -85,46 +84,46 @@ def fetch(specification: CheckpointSpec, *, unverified: bool = False, force: boo
     if path is None:
         raise NotFoundError(f"checkpoint {specification.name!r}: there is no {specification.path}")
     digest, files = hash_local(specification, path)
-    for one in differences(specification, digest, files):
+    for difference in differences(specification, digest, files):
         raise UserError(
-            f"checkpoint {specification.name!r} is not the one that policy.yml means: {path / one.path}: {one.what}: "
-            f"expected {one.expected}, got {one.got}",
-            hint="the source has changed, or policy.yml is wrong; --force brings it again",
+            f"checkpoint {specification.name!r} differs from policy.yml: {path / difference.path}: {difference.what}: "
+            f"expected {difference.expected}, got {difference.got}",
+            hint="the source has changed, or policy.yml is wrong; --force fetches it again",
             code=ExitCode.FINDINGS,
         )
     return FetchedCheckpoint(path, digest, "fetched", files)
 
 
 def local_path(specification: CheckpointSpec) -> Path | None:
-    """Return where a checkpoint lies on this machine, or a part of it, unchecked; None if it is not here.
+    """Return the local path of a checkpoint, unverified and possibly incomplete; None if it is not local.
 
     Raises:
-        UserError: if it is the hub's, and not pinned to a commit.
+        UserError: if a source on the hub is not pinned to a commit.
     """
     if specification.kind != HUB:
         return specification.path if specification.path.exists() else None
     check_commit(specification)
     try:
         return _snapshot(specification, local_files_only=True)
-    except Exception:  # noqa: BLE001 - the client is not installed, or raises what its release raises for "not here"
+    except Exception:  # noqa: BLE001 - the client is not installed, or raises an error of its release for a missing snapshot
         return None
 
 
 def linked_checkpoint(specification: CheckpointSpec) -> Path | None:
-    """Return what a checkpoint's name means in its adapter, None if nothing was fetched."""
+    """Return the target of a checkpoint's link in its adapter; None if it was not fetched."""
     place = link_path(specification.base, specification.name)
     return place.resolve() if place.exists() else None
 
 
 def hash_local(specification: CheckpointSpec, path: Path) -> tuple[str, tuple[CheckpointFile, ...]]:
-    """Return the digest of a checkpoint, and its files with theirs: those that policy.yml lists, or all that are there.
+    """Return the digest of a checkpoint, and its files with theirs: those of policy.yml, or all local ones.
 
     Args:
         specification: the checkpoint.
-        path: where it lies.
+        path: its local path.
 
     Raises:
-        UserError: if a name in it cannot be written down.
+        UserError: if it contains an invalid name.
     """
     if not specification.files:
         digest, found = hash_checkpoint(path)
@@ -138,7 +137,7 @@ def hash_local(specification: CheckpointSpec, path: Path) -> tuple[str, tuple[Ch
 def differences(
     specification: CheckpointSpec, digest: str, files: Sequence[CheckpointFile]
 ) -> list[CheckpointDifference]:
-    """Return how a checkpoint that was read differs from policy.yml; nothing means that it is whole."""
+    """Return the differences between a local checkpoint and policy.yml; none if it is complete."""
     there = {file.path: file for file in files}
     found = []
     for file in specification.files:
@@ -158,22 +157,22 @@ def differences(
 
 
 def link_path(policy_dir: Path, name: str) -> Path:
-    """Return the place in an adapter where the checkpoint resolver finds one by its name."""
+    """Return the path in an adapter where the checkpoint resolver looks up a name."""
     return policy_dir / sdk.CHECKPOINT_DIRECTORY / name
 
 
 def link(policy_dir: Path, name: str, target: Path) -> Path:
-    """Make `checkpoints/<name>` of an adapter a link to a checkpoint, in one step.
+    """Link `checkpoints/<name>` of an adapter to a checkpoint, atomically.
 
     Raises:
-        UserError: if something else is there, or nothing can be written there.
+        UserError: if the path exists and is no link, or cannot be written.
     """
     place = link_path(policy_dir, name)
     target = target.absolute()
     if place.absolute() == target:
         return place
     if place.exists() and not place.is_symlink():
-        raise UserError(f"{place} is there already and no link: it stays, and is what ckpt_name {name!r} means")
+        raise UserError(f"{place} exists and is no link: it is kept, and ckpt_name {name!r} refers to it")
     if place.is_symlink() and place.readlink() == target:
         return place
     try:
@@ -188,7 +187,7 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
 
 
 def _download(specification: CheckpointSpec, *, force: bool) -> Path:
-    """Have the hub's client bring a checkpoint, and return where it lies in the client's cache."""
+    """Download a checkpoint by the hub's client, and return its path in the client's cache."""
     try:
         path = _snapshot(specification, force_download=force)
     except ImportError as error:
@@ -197,11 +196,11 @@ def _download(specification: CheckpointSpec, *, force: bool) -> Path:
             hint=f"{how_to_install('hub')}, or give a path of this machine as its source",
             code=ExitCode.NOT_RUN,
         ) from None
-    except Exception as error:  # noqa: BLE001 - the client raises errors of several libraries, and new ones with releases
+    except Exception as error:  # noqa: BLE001 - the client raises errors of several libraries
         lines = str(error).strip().splitlines() or [""]
         raise UserError(
-            f"{specification.source} cannot be had from the hub: {type(error).__name__}: {lines[0]:.200}",
-            hint="run the same command again: it goes on where it stopped; a private repository needs `hf auth login`",
+            f"{specification.source} cannot be downloaded from the hub: {type(error).__name__}: {lines[0]:.200}",
+            hint="run the same command again: it resumes the download; a private repository needs `hf auth login`",
             code=ExitCode.NOT_RUN,
         ) from None
     if not path.is_dir() or not list_files(path):
@@ -210,7 +209,7 @@ def _download(specification: CheckpointSpec, *, force: bool) -> Path:
 
 
 def _snapshot(specification: CheckpointSpec, *, local_files_only: bool = False, force_download: bool = False) -> Path:
-    """Return the folder of the hub's cache that a checkpoint is, through the hub's client."""
+    """Return a checkpoint's folder in the hub's cache, by the hub's client."""
     import huggingface_hub
 
     owner, name, *below = specification.source.removeprefix(f"{HUB}://").split("/")

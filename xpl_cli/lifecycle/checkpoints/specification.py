@@ -1,4 +1,4 @@
-"""What policy.yml says of a checkpoint: where it is, and by which digests its bytes are known again."""
+"""Checkpoint entries of policy.yml: source, digests and files."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class CheckpointSpec:
     """One entry of `checkpoints` in policy.yml.
 
     Attributes:
-        name: what `ckpt_name` in deploy.yml calls it.
-        source: where it is, as it was written.
-        kind: what `source` is: a repository of the hub, or a path of this machine.
-        revision: full commit of the hub's repository; a text of the author's own elsewhere.
-        digest: of the whole content (see `digest_of`); None if policy.yml does not say enough to know it.
-        size: all bytes, None if that is not known.
-        licence: of the weights.
-        files: those that policy.yml lists; empty if the source lists them, or is one file.
-        base: folder that a relative path starts at.
+        name: its name in `ckpt_name` of deploy.yml.
+        source: its source, as written in policy.yml.
+        kind: kind of the source: a repository of the hub, or a local path.
+        revision: full commit of the hub's repository; free text for other sources.
+        digest: digest of the whole content (see `digest_of`); None if policy.yml does not determine it.
+        size: total bytes; None if unknown.
+        licence: licence of the weights.
+        files: files listed in policy.yml; empty for all files of the source, or a single file.
+        base: folder for relative paths.
     """
 
     name: str
@@ -54,7 +54,7 @@ class CheckpointSpec:
 
     @property
     def path(self) -> Path:
-        """The source as a path of this machine."""
+        """The source as a local path."""
         text = urlsplit(self.source).path if self.source.startswith("file://") else self.source
         return self.base / Path(text).expanduser()
 
@@ -62,7 +62,7 @@ class CheckpointSpec:
 def digest_of(files: Iterable[CheckpointFile]) -> str:
     r"""Return the digest of a folder: that of the list `<sha256>  <path>`, one line for each file, sorted by path.
 
-    It is what `sha256sum` makes of its own output:
+    It equals `sha256sum` of its own output:
     `find * -type f | LC_ALL=C sort | tr '\n' '\0' | xargs -0 sha256sum | sha256sum`.
     """
     lines = sorted((file.path.encode(), file.sha256 or "") for file in files)
@@ -73,51 +73,53 @@ def declared_checkpoints(package: Package) -> dict[str, CheckpointSpec]:
     """Return the checkpoints of an adapter by name.
 
     Raises:
-        UserError: if an entry cannot be understood, or names a place outside of the checkpoint.
+        UserError: if an entry is malformed, or has a path outside of the checkpoint.
     """
-    found: dict[str, CheckpointSpec] = {}
+    checkpoints: dict[str, CheckpointSpec] = {}
     for entry in package.manifest.checkpoints:
         specification = parse_checkpoint(package, entry)
-        if specification.name in found:
+        if specification.name in checkpoints:
             raise UserError(f"{package.name}/{sdk.File.POLICY_YML} has two checkpoints called {specification.name!r}")
-        found[specification.name] = specification
-    return found
+        checkpoints[specification.name] = specification
+    return checkpoints
 
 
 def choose(package: Package, name: str | None, *, every: bool = False) -> list[CheckpointSpec]:
-    """Return the checkpoints that a command is about.
+    """Return the selected checkpoints of a command.
 
     Args:
         package: the adapter.
-        name: the one; without it that of `ckpt_name` in deploy.yml, or the only one.
-        every: all of them, which may be none.
+        name: name of one; by default `ckpt_name` of deploy.yml, or the only one.
+        every: select all, possibly none.
 
     Raises:
-        NotFoundError: if there is none of that name, or none at all.
-        UserError: if it is not said which one of several.
+        NotFoundError: if there is none, or none of that name.
+        UserError: if there are several and none is selected.
     """
-    known = declared_checkpoints(package)
+    checkpoints = declared_checkpoints(package)
     if every:
-        return list(known.values())
-    if not known:
+        return list(checkpoints.values())
+    if not checkpoints:
         raise NotFoundError(
             f"{package.name}/{sdk.File.POLICY_YML} specifies no checkpoint",
             hint="add {name, source, sha256, size, license} to its `checkpoints`",
         )
-    wanted = name
-    if wanted is None:
+    selected = name
+    if selected is None:
         configured = str(package.config().get(sdk.Deploy.CKPT_NAME))
-        wanted = configured if configured in known else next(iter(known)) if len(known) == 1 else None
-    names = ", ".join(known)
-    if wanted is None:
+        selected = (
+            configured if configured in checkpoints else next(iter(checkpoints)) if len(checkpoints) == 1 else None
+        )
+    names = ", ".join(checkpoints)
+    if selected is None:
         raise UserError(f"{package.name} has several checkpoints: name one of {names}, or take --all")
-    if wanted not in known:
-        raise NotFoundError(f"{package.name} specifies no checkpoint {wanted!r}; there are: {names}")
-    return [known[wanted]]
+    if selected not in checkpoints:
+        raise NotFoundError(f"{package.name} specifies no checkpoint {selected!r}; there are: {names}")
+    return [checkpoints[selected]]
 
 
 def check_path(text: str, where: str) -> str:
-    """Return a file's path if it stays inside of its checkpoint and its name is an ordinary one.
+    """Return a file's path after validating that it stays inside of its checkpoint.
 
     Raises:
         UserError: otherwise.
@@ -133,10 +135,10 @@ def check_path(text: str, where: str) -> str:
 
 
 def parse_checkpoint(package: Package, entry: Checkpoint) -> CheckpointSpec:
-    """Return what an entry of an adapter's policy.yml says.
+    """Parse an entry of `checkpoints` in policy.yml.
 
     Raises:
-        UserError: if it cannot be understood, or names a place outside of the checkpoint.
+        UserError: if it is malformed, or has a path outside of the checkpoint.
     """
     where = f"{package.name}/{sdk.File.POLICY_YML}, checkpoint {entry.name!r}"
     if not _NAME.fullmatch(entry.name):
@@ -193,7 +195,7 @@ def _kind(source: str, where: str) -> Literal["hf", "path"]:
         return "hf"
     raise UserError(
         f"{where}: expected {HUB}://owner/repository or a path, got {source}",
-        hint="download it by a tool of yours, and give its path; its sha256 says whether it is the right one",
+        hint="download it yourself, and give its path; its sha256 verifies it",
     )
 
 

@@ -1,1 +1,1 @@
-"""The Python environment of a policy: made from its lock beside the one that is in use, then swapped in one step."""
+"""Python environments of policies: created from a lockfile, and switched atomically."""

@@ -1,7 +1,7 @@
-"""Where environments lie: each in a folder of its own for good, with a link to the one that is in use.
+"""Installed environments: each has a folder of its own, and a link points to the one in use.
 
-An environment cannot be moved: its scripts name the folder that they were made in. So a new one is made where it stays,
-and what changes in one step is the link. Whoever runs in the old one goes on in it.
+An environment cannot be moved: its scripts contain its path. So a new one is created in its final folder, and only the
+link changes, atomically. Processes in the old one continue.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from xpl_cli.lifecycle.python_env.plan import EnvironmentPlan
 
 RECORD = "xpl-environment.json"
-"""What an environment was made from, and what is in it; written last, so that one without it is not complete."""
+"""Record of an environment's sources and packages; written last, so that an environment without it is incomplete."""
 SCHEMA = "xpl.environment/1"
 
 Condition = Literal["current", "outdated", "missing", "foreign"]
@@ -37,12 +37,12 @@ Condition = Literal["current", "outdated", "missing", "foreign"]
 
 @dataclass(frozen=True)
 class InstalledEnvironment:
-    """An environment that is in use.
+    """An environment in use.
 
     Attributes:
         python: its interpreter.
         state: "made", "replaced", "unchanged" or "given".
-        record: what it was made from, and what is in it; empty for one that was given.
+        record: its sources and packages; empty for an environment that xpl did not create.
     """
 
     python: Path
@@ -51,12 +51,12 @@ class InstalledEnvironment:
 
     @property
     def folder(self) -> Path:
-        """Where it lies."""
+        """Folder of the environment."""
         return self.python.parents[1]
 
 
 def condition(plan: EnvironmentPlan) -> Condition:
-    """Return whether the environment of a plan is there: as declared now, as declared earlier, not, or not ours."""
+    """Return the state of an environment: current, outdated, missing, or foreign (not created by xpl)."""
     if not os.path.lexists(plan.link):
         return "missing"
     if not plan.link.is_symlink():
@@ -68,7 +68,7 @@ def condition(plan: EnvironmentPlan) -> Condition:
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """Return what an environment was made from, None if nobody wrote that down."""
+    """Return the record of an environment, None without one."""
     try:
         record: dict[str, Any] = json_text.parse((folder / RECORD).read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -77,14 +77,14 @@ def read_record(folder: Path) -> dict[str, Any] | None:
 
 
 def install(plan: EnvironmentPlan, *, force: bool = False) -> InstalledEnvironment:
-    """Make the environment of a plan unless it is there, and put it in use.
+    """Create the environment of a plan unless it is current, and put it in use.
 
     Args:
-        plan: what is declared.
-        force: make it anew although it is there.
+        plan: the declared environment.
+        force: create it again.
 
     Raises:
-        UserError: if it cannot be made; what was in use before stays in use.
+        UserError: if it cannot be created; the former one stays in use.
     """
     key = plan.key()
     _make(plan.link.parent)
@@ -92,7 +92,7 @@ def install(plan: EnvironmentPlan, *, force: bool = False) -> InstalledEnvironme
         before = condition(plan)
         if before == "foreign":
             raise UserError(
-                f"{plan.link} is there already, and `xpl install` did not make it: it stays as it is",
+                f"{plan.link} exists, and `xpl install` did not create it: it is kept",
                 hint="move it away, or choose another `name` in `environment`",
             )
         if before == "current" and not force:
@@ -100,7 +100,7 @@ def install(plan: EnvironmentPlan, *, force: bool = False) -> InstalledEnvironme
         _prune(plan)
         folder = _unused_folder(plan, key)
         try:
-            found = installers.build(plan, folder)
+            installed = installers.build(plan, folder)
             (folder / ".gitignore").write_text("*\n", encoding="utf-8")
             record = {
                 "schema": SCHEMA,
@@ -109,7 +109,7 @@ def install(plan: EnvironmentPlan, *, force: bool = False) -> InstalledEnvironme
                 "wanted_python": plan.python,
                 "lock": None if plan.lock is None else plan.lock.relative_to(plan.base).as_posix(),
                 "requirements": list(plan.requirements),
-                **found,
+                **installed,
             }
             atomic.write_file(folder / RECORD, (json.dumps(record, indent=2) + "\n").encode())
             _switch_link(plan.link, folder)
@@ -127,17 +127,17 @@ def _installed(plan: EnvironmentPlan, state: str) -> InstalledEnvironment:
 
 @contextlib.contextmanager
 def _exclusive_lock(folder: Path) -> Iterator[None]:
-    """Let one process at a time make environments in a folder; the lock ends with it at the latest."""
-    held = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    """Hold an exclusive lock on a folder for a `with` block; it ends with the process at the latest."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        fcntl.flock(held, fcntl.LOCK_EX)
+        fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
-        os.close(held)
+        os.close(descriptor)
 
 
 def _switch_link(link: Path, folder: Path) -> None:
-    """Make a link lead to a folder beside it, in one step."""
+    """Point a link to a folder beside it, atomically."""
     with tempfile.TemporaryDirectory(dir=link.parent, prefix=f".{link.name.lstrip('.')}-") as scratch:
         fresh = Path(scratch) / link.name
         fresh.symlink_to(folder.name)  # relative, so that it can be read
@@ -148,18 +148,18 @@ def _make(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise UserError(f"{folder} cannot be made: {error.strerror}", code=ExitCode.NOT_RUN) from None
+        raise UserError(f"{folder} cannot be created: {error.strerror}", code=ExitCode.NOT_RUN) from None
 
 
 def _unused_folder(plan: EnvironmentPlan, key: str) -> Path:
-    """Return a folder for an environment that is not there yet."""
+    """Return an unused folder for a new environment."""
     plain = plan.link.with_name(f"{plan.link.name}-{key}")
     others = (plain.with_name(f"{plain.name}.{number}") for number in itertools.count(1))
     return next(path for path in itertools.chain([plain], others) if not os.path.lexists(path))
 
 
 def _prune(plan: EnvironmentPlan) -> None:
-    """Remove environments that are not in use: what was replaced, and what somebody began and did not finish."""
+    """Remove unused environments: replaced and incomplete ones."""
     ours = re.compile(rf"{re.escape(plan.link.name)}-[0-9a-f]{{12}}(\.\d+)?")
     used = plan.link.resolve() if plan.link.is_symlink() else None
     if not plan.link.parent.is_dir():
@@ -172,7 +172,7 @@ def _prune(plan: EnvironmentPlan) -> None:
 
 
 def _runs_from(folder: Path) -> bool:
-    """Tell whether a process was started by the interpreter of an environment, as far as the system tells."""
+    """Tell whether a process runs the interpreter of an environment, as far as /proc shows it."""
     start = os.fsencode(folder / "bin") + b"/"
     for entry in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(OSError):

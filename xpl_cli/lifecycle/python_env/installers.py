@@ -1,6 +1,6 @@
-"""What fills an environment: uv where it is, venv and pip otherwise; conda for locks of conda.
+"""Installers of environments: uv if available, else venv and pip; conda for conda lockfiles.
 
-Each of them runs as a program of its own, in the policy's environment, with what could lead it elsewhere taken away.
+Each runs as a program of its own, without environment variables that could redirect it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ CONDAS = ("conda", "mamba", "micromamba")
 OLDEST_PYTHON = (3, 9)
 
 _LIMIT_S = 100.0
-"""Longest wait for a new interpreter; the first import of large packages is slow."""
+"""Timeout of a new interpreter; the first import of large packages is slow."""
 
 _ELSEWHERE = ("VIRTUAL_ENV", "CONDA_PREFIX", "PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "__PYVENV_LAUNCHER__")
 _PIP = ("TARGET", "PREFIX", "ROOT", "USER", "PYTHON", "REQUIREMENT", "CONSTRAINT", "EDITABLE", "UPGRADE", "NO_DEPS")
@@ -40,31 +40,33 @@ from importlib.metadata import distributions
 found = {d.metadata["Name"]: d.version for d in distributions() if d.metadata["Name"]}
 print(json.dumps({"python": platform.python_version(), "installed": dict(sorted(found.items(), key=str))}))
 """
-"""A program that prints its interpreter's version and what is installed there, as JSON."""
+"""Program that prints its interpreter's version and installed packages, as JSON."""
 
 
 def build(plan: EnvironmentPlan, folder: Path) -> dict[str, Any]:
-    """Make the environment of a plan in a folder that is not there yet, and return what was installed.
+    """Create the environment of a plan in a new folder, and return the installed packages.
 
     Raises:
-        UserError: if a program is missing or fails, or the result cannot run a policy.
+        UserError: if a program is missing or fails, or the environment cannot run a policy.
     """
     if plan.manager == CONDA:
         installer = _conda(plan, folder)
     elif uv := shutil.which("uv"):
         installer = _uv(uv, plan, folder)
     elif plan.kind == "uv":
-        raise UserError(f"{plan.lock} is uv's, and uv is not on PATH", hint="install uv", code=ExitCode.NOT_RUN)
+        raise UserError(
+            f"{plan.lock} is a lockfile of uv, and uv is not on PATH", hint="install uv", code=ExitCode.NOT_RUN
+        )
     else:
         installer = _pip(plan, folder)
     return {"installer": installer, **_inspect(plan, folder / "bin" / "python")}
 
 
 def environment() -> dict[str, str]:
-    """Return the environment variables of an installer: those that say from where stay, those that say whereto go.
+    """Return the environment variables of an installer, without those that set its target.
 
-    Both installers write bytecode. Where nothing can be written later, in a container or kept apart, every load would
-    compile all that it imports, and an audit loads a model some twenty times.
+    Both installers compile bytecode: in a read-only container or sandbox, every load would compile all imports again,
+    and an audit loads a model some twenty times.
     """
     pip, uv = (f"PIP_{name}" for name in (*_PIP, *_PIP_MODES)), (f"UV_{name}" for name in (*_UV, *_UV_MODES))
     unwanted = {*_ELSEWHERE, *pip, *uv}
@@ -76,7 +78,7 @@ def environment() -> dict[str, str]:
 def _uv(uv: str, plan: EnvironmentPlan, folder: Path) -> str:
     python = plan.python or sys.executable
     if plan.kind == "uv":
-        # The adapter's own folder is no distribution: it is served from where it is.
+        # The adapter's own folder is no distribution: it runs in place.
         command = [uv, "sync", "--quiet", "--frozen", "--no-dev", "--no-install-project", "--python", python]
         _run(plan, command, UV_PROJECT_ENVIRONMENT=str(folder))
     else:
@@ -98,7 +100,9 @@ def _pip(plan: EnvironmentPlan, folder: Path) -> str:
 def _conda(plan: EnvironmentPlan, folder: Path) -> str:
     conda = next(filter(None, map(shutil.which, CONDAS)), None)
     if conda is None:
-        raise UserError(f"{plan.lock} is conda's, and conda is not on PATH", hint="install it", code=ExitCode.NOT_RUN)
+        raise UserError(
+            f"{plan.lock} is a lockfile of conda, and conda is not on PATH", hint="install it", code=ExitCode.NOT_RUN
+        )
     if plan.is_explicit() or Path(conda).name == "micromamba":
         command = [conda, "create", "--yes", "--quiet"]
     else:
@@ -108,15 +112,15 @@ def _conda(plan: EnvironmentPlan, folder: Path) -> str:
 
 
 def _install_arguments(plan: EnvironmentPlan) -> list[str]:
-    """Return what is to be installed, as uv and pip both take it."""
+    """Return the install arguments for uv and pip."""
     if plan.lock is None:
         return list(plan.requirements)
-    # A lock is complete: what it does not name would be another version tomorrow.
+    # A lockfile is complete: unlisted dependencies would have unpinned versions.
     return ["--no-deps", *(["--require-hashes"] if plan.has_hashes() else []), "--requirement", str(plan.lock)]
 
 
 def _warn_if_inconsistent(plan: EnvironmentPlan, command: Sequence[str]) -> None:
-    """Say what a lock leaves out; some are written against what packages ask for, so that it is no error."""
+    """Warn about unmet requirements of packages; some lockfiles ignore them on purpose, so this is no error."""
     done = subprocess.run(
         command, cwd=plan.base, env=environment(), capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
     )
@@ -126,8 +130,8 @@ def _warn_if_inconsistent(plan: EnvironmentPlan, command: Sequence[str]) -> None
 
 def _inspect(plan: EnvironmentPlan, python: Path) -> dict[str, Any]:
     """Return what an environment has, and raise if it cannot run a worker."""
-    told = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
-    found: dict[str, Any] = json_text.parse(told)
+    listing = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
+    found: dict[str, Any] = json_text.parse(listing)
     if tuple(map(int, found["python"].split(".")[:2])) < OLDEST_PYTHON:
         raise UserError(f"{plan.package} needs Python 3.9 or newer, got {found['python']}", code=ExitCode.NOT_RUN)
     if plan.python is not None and not pythons.specifier(plan.python).contains(found["python"], prereleases=True):
@@ -163,7 +167,7 @@ def _version(command: Sequence[str]) -> str:
 
 
 def _run(plan: EnvironmentPlan, command: Sequence[str], **variables: str) -> None:
-    # Output of installers goes to stderr: stdout is for answers.
+    # The output of installers goes to stderr: stdout is for answers.
     done = subprocess.run(
         command,
         cwd=plan.base,
@@ -175,7 +179,7 @@ def _run(plan: EnvironmentPlan, command: Sequence[str], **variables: str) -> Non
     if done.returncode:
         shown = " ".join([Path(command[0]).name, *command[1:4]])
         raise UserError(
-            f"the environment of {plan.package} cannot be made: {shown} ... ended with {done.returncode}",
-            hint="what it said is above; the environment that was there before is unchanged",
+            f"the environment of {plan.package} cannot be created: {shown} ... ended with {done.returncode}",
+            hint="its output is above; the former environment is unchanged",
             code=ExitCode.NOT_RUN,
         )

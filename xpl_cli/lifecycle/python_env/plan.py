@@ -1,4 +1,4 @@
-"""What a manifest says of a package's environment, and what tells two environments apart."""
+"""Plan of a package's environment from its manifest, and the key that identifies it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Kind = Literal["requirements", "uv", "conda"]
 
 VENV, UV, CONDA = "venv", "uv", "conda"
 MADE_BY_XPL = (VENV, UV)
-"""Managers whose environments `xpl install` makes; conda's only where there is a lock."""
+"""Managers whose environments `xpl install` creates; conda's only with a lockfile."""
 
 _DEFAULT_NAME = ".venv"
 _NEEDED = ("numpy",)
@@ -34,17 +34,17 @@ _FORMAT = 1
 
 @dataclass(frozen=True)
 class EnvironmentPlan:
-    """An environment as it is declared.
+    """A declared environment.
 
     Attributes:
         package: name of the adapter or environment.
         base: its folder.
         manager: uv, venv or conda.
-        python: version or range of versions, None for the tool's own.
-        name: of the environment, a path below `base` or an absolute one.
-        lock: the lock file, None if there is none.
-        kind: what the lock file is.
-        requirements: what to install where there is no lock.
+        python: version or range of versions; None for the tool's own.
+        name: path of the environment, below `base` or absolute.
+        lock: the lockfile, or None.
+        kind: format of the lockfile.
+        requirements: what to install without a lockfile.
     """
 
     package: str
@@ -58,58 +58,58 @@ class EnvironmentPlan:
 
     @functools.cached_property
     def link(self) -> Path:
-        """Where the environment is found: a link to the one that is in use.
+        """Link to the environment in use.
 
-        It lies in the package. What came with the installed tool has its own in the user's cache, under a name that
-        changes with what it is made from: installations of several versions share that cache.
+        It lies in the package. Packages of the installed tool have theirs in the user's cache, under a name with the
+        environment's key, since several versions of the tool share that cache.
 
         Raises:
-            NotFoundError: if the lock of a package that came with the tool is not there.
-            UserError: if the user has no cache.
+            NotFoundError: if the lockfile of a package of the tool is missing.
+            UserError: if the user has no cache folder.
         """
         if content.is_installed(self.base):
             return user_cache.folder() / "environments" / f"{self.package}-{self.key()}" / _DEFAULT_NAME
         return self.base / self.name
 
     def key(self) -> str:
-        """Return what changes with anything that the environment is made from, a short digest.
+        """Return a short digest of all sources of the environment.
 
         Raises:
-            NotFoundError: if the lock is not there.
+            NotFoundError: if the lockfile is missing.
         """
-        told = {
+        sources = {
             "format": _FORMAT,
             "conda": self.manager == CONDA,
             "python": self.python,
             "requirements": self.requirements,
             "locks": {path.name: hashlib.sha256(_read(path)).hexdigest() for path in self.locks()},
         }
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:_KEY_LENGTH]
+        return hashlib.sha256(json.dumps(sources, sort_keys=True).encode()).hexdigest()[:_KEY_LENGTH]
 
     def locks(self) -> tuple[Path, ...]:
-        """Return the files that say what belongs into the environment."""
+        """Return the files that determine the environment."""
         if self.lock is None:
             return ()
         return (self.lock, self.base / _PROJECT) if self.kind == "uv" else (self.lock,)
 
     def has_hashes(self) -> bool:
-        """Tell whether a lock in pip's format says by which digests packages are known."""
+        """Tell whether a lockfile in pip's format has hashes."""
         return self.kind == "requirements" and self.lock is not None and b"--hash=" in _read(self.lock)
 
     def is_explicit(self) -> bool:
-        """Tell whether a lock of conda is a list of packages, which needs no solver."""
+        """Tell whether a conda lockfile is an explicit list, which needs no solver."""
         return self.lock is not None and _EXPLICIT in _read(self.lock).decode(errors="replace").splitlines()
 
 
 def plan_of(folder: Path, declared: PythonEnvironment) -> EnvironmentPlan | None:
-    """Return the environment that `xpl install` makes for a package, None if it declares one that exists already.
+    """Return the plan of a package's environment; None if it declares an existing environment.
 
     Args:
-        folder: the adapter's or environment's.
+        folder: folder of the package.
         declared: `environment` of its policy.yml or env.yml.
 
     Raises:
-        UserError: if what is declared cannot be meant.
+        UserError: if the declaration is invalid.
     """
     manager, lock = declared.manager, declared.lock
     where = f"{folder.name}, environment in its manifest"
@@ -155,7 +155,7 @@ def _kind(lock: str, manager: str, where: str) -> Kind:
 
 
 def _check_outside_of_the_tool(link: Path, where: str) -> None:
-    """Raise if an environment would take the place of the tool's own, or lie in it."""
+    """Raise if an environment would replace the tool's own, or lie in it."""
     place = link.parent.resolve() / link.name
     own = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()]
     if any(place == one or place.is_relative_to(one) or one.is_relative_to(place) for one in own):

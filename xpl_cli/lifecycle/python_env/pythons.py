@@ -1,4 +1,4 @@
-"""Interpreters of this machine."""
+"""Python interpreters of this machine."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PROBE_S = 10.0
 
 
 def find(wanted: str | None) -> str:
-    """Return an interpreter that can make environments.
+    """Return an interpreter that can create environments.
 
     Args:
         wanted: a version such as `3.10`, or a range such as `>=3.10,<3.12`; None for the tool's own interpreter.
@@ -43,17 +43,17 @@ def find(wanted: str | None) -> str:
             tried.append(version)
     found = f"; PATH has {', '.join(sorted(set(tried)))}" if tried else ""
     raise UserError(
-        f"there is no Python {wanted} that can make environments{found}",
+        f"there is no Python {wanted} that can create environments{found}",
         hint="install it (on Debian with python3-venv), or install uv, which brings interpreters of any version",
         code=ExitCode.NOT_RUN,
     )
 
 
 def specifier(wanted: str) -> SpecifierSet:
-    """Return the versions that a text means; `3.10` is every 3.10.
+    """Parse a version or a range of versions; `3.10` means every 3.10.
 
     Raises:
-        UserError: if it is no version and no range.
+        UserError: if it is malformed.
     """
     from packaging.specifiers import InvalidSpecifier, SpecifierSet
 
@@ -69,7 +69,7 @@ def specifier(wanted: str) -> SpecifierSet:
 
 
 def version_of(python: str) -> str | None:
-    """Return the version of an interpreter, None if it does not run, as a shim may not, or cannot make environments."""
+    """Return the version of an interpreter; None if it does not run or cannot create environments."""
     try:
         done = subprocess.run(
             [python, "-I", "-c", _PROBE], capture_output=True, text=True, check=False, timeout=_PROBE_S
@@ -80,7 +80,7 @@ def version_of(python: str) -> str | None:
 
 
 def names() -> list[str]:
-    """Return what interpreters are called, newest first."""
+    """Return the program names of interpreters, newest first."""
     return [f"python3.{minor}" for minor in range(_NEWEST, _OLDEST - 1, -1)]
 
 

@@ -203,7 +203,7 @@ def proof_path(name: str) -> Path:
 @cache
 def levels() -> tuple[Level, ...]:
     """Return the levels, from nothing upwards."""
-    return tuple(Level(number, **entry) for number, entry in enumerate(_words()["levels"]))
+    return tuple(Level(number, **entry) for number, entry in enumerate(_vocabulary()["levels"]))
 
 
 @cache
@@ -247,12 +247,12 @@ def find(name: str) -> ZooPolicy:
 @cache
 def families() -> dict[str, str]:
     """Return what every family is called, by its name."""
-    told: dict[str, str] = _words()["families"]
+    told: dict[str, str] = _vocabulary()["families"]
     return told
 
 
 @cache
-def _words() -> dict[str, Any]:
+def _vocabulary() -> dict[str, Any]:
     told: dict[str, Any] = spec.read_yaml(folder() / "words.yml")
     return told
 
