@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.model_io.citations import Citation, Quotation, contradiction, folders, lookup
 from xpl_cli.packages.conventions import DeclaredValue

@@ -29,7 +29,7 @@ def recorded(folder: Path, **overrides: Any) -> record.RecordResult:
 
 
 def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo")
+    folder = parity.write_adapter(tmp_path / "Foo")
     done = xpl("model-io", "record", str(folder), "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
     told = json.loads(done.stdout)
@@ -53,7 +53,7 @@ def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_author
         'import msgpack\nimport numpy as np\n\nCONVENTIONS = {"chunk": "them/msgpack@v1:msgpack/fallback.py:3"}',
         1,
     )
-    folder = parity.made(tmp_path / "Foo", code=code)
+    folder = parity.write_adapter(tmp_path / "Foo", code=code)
     told = recorded(folder, seed=5).pairs.provenance
     assert "msgpack/__init__.py" in told["authors"]
     assert provenance.code_problems(folder, told, sys.executable) == []
@@ -70,7 +70,7 @@ def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_author
 
 
 def test_what_would_change_is_told_before_it_is_written(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo")
+    folder = parity.write_adapter(tmp_path / "Foo")
     first = xpl("model-io", "record", str(folder), "--diff", cwd=tmp_path)
     assert (first.returncode, "is not there" in first.stdout) == (ExitCode.FINDINGS, True)
     assert not (folder / names.PAIRS).exists()
@@ -106,7 +106,7 @@ def answers(config):
 
 
 def test_a_reference_is_told_the_episode_so_far(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", code=RECURRENT)
+    folder = parity.write_adapter(tmp_path / "Foo", code=RECURRENT)
     found = recorded(folder, seed=5)
     (session,) = found.pairs.sessions
     assert (session.seed, found.pairs.provenance["settings"]) == (5, {"seed": 5})
@@ -122,7 +122,9 @@ def test_a_reference_is_told_the_episode_so_far(tmp_path: Path) -> None:
 
 
 def test_other_robots_and_action_types_are_asked_about_less(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", None, embodiments=["franka_single", "piper"], action_types=["joint", "ee"])
+    folder = parity.write_adapter(
+        tmp_path / "Foo", None, embodiments=["franka_single", "piper"], action_types=["joint", "ee"]
+    )
     asked = list(record.sessions(package.load(folder), {}))
     assert [(one.embodiment, one.action_type) for one in asked] == [
         ("franka_single", "joint"),
@@ -132,7 +134,7 @@ def test_other_robots_and_action_types_are_asked_about_less(tmp_path: Path) -> N
     ]
     counts = [sum(len(call.ask) for call in one.calls) for one in asked]
     assert counts[0] >= 20 > max(counts[1:]) > 0
-    free = parity.made(tmp_path / "Bar", parity.block(sampling="free"))
+    free = parity.write_adapter(tmp_path / "Bar", parity.block(sampling="free"))
     assert {one.takes for one in record.sessions(package.load(free), {})} == {record.TAKES}
 
 
@@ -181,7 +183,7 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
     ],
 )
 def test_what_is_wrong_with_a_reference_is_told(code: str, told: str, tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", None, code=code)
+    folder = parity.write_adapter(tmp_path / "Foo", None, code=code)
     with pytest.raises(UserError) as caught:
         recorded(folder)
     assert told in f"{caught.value} {caught.value.hint}"
@@ -203,21 +205,21 @@ def answers(config): ...
 
 def test_a_reference_that_writes_between_its_answers_is_told_so(tmp_path: Path) -> None:
     """No length that stands there is taken for one: the file is followed while the code runs."""
-    folder = parity.made(tmp_path / "Foo", None, code=GARBAGE)
+    folder = parity.write_adapter(tmp_path / "Foo", None, code=GARBAGE)
     with pytest.raises(UserError, match=r"reference\.py ended without an answer") as caught:
         recorded(folder)
     assert caught.value.code == ExitCode.NOT_RUN
 
 
 def test_a_package_without_a_reference_is_told_so(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", code=None)
+    folder = parity.write_adapter(tmp_path / "Foo", code=None)
     with pytest.raises(UserError, match=r"has no reference\.py") as caught:
         recorded(folder)
     assert caught.value.code == ExitCode.NOT_FOUND
 
 
 def test_weights_are_known_by_their_content(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo")
+    folder = parity.write_adapter(tmp_path / "Foo")
     adapter = package.load(folder)
     config = {**adapter.config(), "ckpt_name": "demo"}
     assert provenance.weights(adapter, config) is None
@@ -253,7 +255,7 @@ def test_the_commit_is_told_with_what_was_changed(tmp_path: Path) -> None:
 
 
 def test_a_reference_cannot_change_what_the_next_question_shows() -> None:
-    def answer(episode: worker.Episode) -> Any:
+    def answer(episode: worker.ReferenceEpisode) -> Any:
         episode.observations[0]["state"]["ee_joint_state"][:] += 1
         episode.asked.clear()
         value = episode.observations[0]["state"]["ee_joint_state"].copy()

@@ -26,7 +26,7 @@ def test_the_report_of_many_processes_is_that_of_one(tmp_path: Path, monkeypatch
             episode.add({"state": {"arm_joint_state": row}, "instruction": "go"}, {"arm_joint_state": row})
     options = ValidationOptions(names=("XPL701", "XPL706", "XPL711"))
     many = validate(open_set(tmp_path), "demos", options).gates[0]
-    monkeypatch.setattr(parallel, "in_processes", None)
+    monkeypatch.setattr(parallel, "map_in_processes", None)
     monkeypatch.setattr(validation, "_MANY", 1000)
     one = validate(open_set(tmp_path), "demos", options).gates[0]
     assert (many.results, many.digest) == (one.results, one.digest)

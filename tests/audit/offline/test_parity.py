@@ -17,8 +17,8 @@ from tests.support.adapters import parity
 from xpl import Policy
 from xpl.manifest import ModelIO
 from xpl.wire import packed
-from xpl.worker import variants
-from xpl.worker.changes import Asked
+from xpl.worker import block_answers
+from xpl.worker.perturbed_answers import PerturbedModel
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.offline.parity import distribution
 from xpl_cli.audit.offline.parity.fact import Parity, SessionComparison
@@ -179,7 +179,7 @@ def only(result: RuleResult) -> Finding:
 
 def test_an_adapter_that_says_what_its_model_says_is_proven(tmp_path: Path) -> None:
     """With the numbers that a verdict prints: conventions that nobody names are assumed, too."""
-    folder = recorded(parity.made(tmp_path / "Foo"))
+    folder = recorded(parity.write_adapter(tmp_path / "Foo"))
     result = audited(folder)
     assert (result.outcome, result.findings) == (Outcome.PASS, ())
     assert result.proof is not None
@@ -190,11 +190,11 @@ def test_a_value_of_the_block_is_named_by_its_place_in_it(tmp_path: Path) -> Non
     """Where it is assumed, in the proof; where it is wrong, with the block that is to be changed."""
     block = parity.block()
     block["images"][0]["channels"] = {"assumed": "bgr", "why": "their loader is OpenCV's"}
-    proof = audited(recorded(parity.made(tmp_path / "Foo", block))).proof
+    proof = audited(recorded(parity.write_adapter(tmp_path / "Foo", block))).proof
     assert proof is not None
     assert "images[0].channels" in proof["assumptions"]
     block["images"][0]["channels"] = "rgb"
-    parity.made(tmp_path / "Bar", block)
+    parity.write_adapter(tmp_path / "Bar", block)
     shutil.copy(tmp_path / "Foo" / "golden_pairs.json", tmp_path / "Bar")
     fix = only(audited(tmp_path / "Bar")).fix
     assert fix is not None
@@ -211,7 +211,7 @@ def test_a_proof_says_what_its_pairs_tell_apart(tmp_path: Path) -> None:
     assert mean != parity.NETWORK
     proofs = []
     for name, network in (("Foo", parity.NETWORK), ("Mean", mean)):
-        folder = parity.made(tmp_path / name)
+        folder = parity.write_adapter(tmp_path / name)
         (folder / "network.py").write_text(network)
         proof = audited(recorded(folder)).proof
         assert proof is not None
@@ -260,7 +260,7 @@ def test_a_model_that_takes_a_seed_is_compared_draw_by_draw(
     model = SAMPLER.replace("DRAWN", drawn)
     monkeypatch.setattr(Parity, "cause", lambda *_: None)
     folder = recorded(
-        parity.made(tmp_path / "Foo", parity.block(sampling="seeded"), model=model, code=REFERENCE_SAMPLER)
+        parity.write_adapter(tmp_path / "Foo", parity.block(sampling="seeded"), model=model, code=REFERENCE_SAMPLER)
     )
     assert audited(folder).outcome is (Outcome.PASS if sound else Outcome.FAIL)
 
@@ -271,11 +271,11 @@ def test_a_model_that_takes_none_is_compared_in_distribution(tmp_path: Path) -> 
     golden = REFERENCE_SAMPLER.replace("episode.rng", "np.random.default_rng()")
     model = SAMPLER.replace("DRAWN", "0.1 * self.own.normal(size=(4, 8))")
     block = parity.block(sampling="free")
-    folder = recorded(parity.made(tmp_path / "Foo", block, model=model, code=golden, deterministic=False))
+    folder = recorded(parity.write_adapter(tmp_path / "Foo", block, model=model, code=golden, deterministic=False))
     assert pairs.read(folder).sessions[0].takes == record.TAKES
     assert audited(folder).outcome is Outcome.PASS
     block["action"]["parts"][1]["gripper"].update(closed=1.0, open=0.0)
-    parity.made(folder, block, model=model, code=golden, deterministic=False)
+    parity.write_adapter(folder, block, model=model, code=golden, deterministic=False)
     finding = only(audited(folder))
     assert "ee_joint_state[0] has another distribution than the reference's" in finding.message
     assert "with `gripper: closed and open exchanged (action)`" in finding.message
@@ -300,7 +300,7 @@ EXCHANGES = parity.MODEL.replace('inputs["prompt"])', 'inputs["prompt"][::-1])')
 )
 def test_what_shows_in_later_questions_and_in_batches_is_seen(model: str, cause: str | None, tmp_path: Path) -> None:
     """State that outlives an episode, inputs of another environment: no conversion is suspected of either."""
-    folder = recorded(parity.made(tmp_path / "Foo", model=model))
+    folder = recorded(parity.write_adapter(tmp_path / "Foo", model=model))
     finding = only(audited(folder))
     assert finding.evidence is not None
     assert 0 < finding.evidence["pairs_off"] < 20
@@ -311,7 +311,7 @@ def test_what_shows_in_later_questions_and_in_batches_is_seen(model: str, cause:
 def test_an_adapter_that_refuses_a_question_is_told_so(tmp_path: Path) -> None:
     """With the question and its error."""
     model = parity.MODEL.replace("rows = zip", "assert not inputs['prompt'][0].startswith('Task: open'); rows = zip")
-    finding = only(audited(recorded(parity.made(tmp_path / "Foo", model=model))))
+    finding = only(audited(recorded(parity.write_adapter(tmp_path / "Foo", model=model))))
     assert "refuses what the reference accepts" in finding.message
     assert "AssertionError" in str(finding.got)
 
@@ -336,7 +336,7 @@ def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
 def test_a_word_is_named_where_the_statistics_lie_in_the_checkpoint(tmp_path: Path) -> None:
     """The search looks for files where the adapter does."""
     block = parity.block(state=[{**parity.BLOCK["state"][0], "normalize": {"rule": "min_max", "file": "stats.json"}}])
-    folder = parity.made(tmp_path / "Foo", block)
+    folder = parity.write_adapter(tmp_path / "Foo", block)
     (folder / "weights").mkdir()
     (folder / "weights" / "stats.json").write_text(json.dumps(parity.BLOCK["state"][0]["normalize"]["values"]))
     asked = record.RecordOptions(overrides={"ckpt_name": "./weights"})
@@ -377,9 +377,9 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
     broken = {**block, "action": {**block["action"], "pad": 3}}
     course = SessionReplay(PairSession("franka_single", "joint", 0, {}, 1, script.short_script()))
-    asked, known = Asked(model, block), set[str]()
+    asked, known = PerturbedModel(model, block), set[str]()
 
-    def answers(asked: Asked, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
+    def answers(asked: PerturbedModel, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
         order = {"blocks": blocks, "seconds": seconds, **course.worker_request(script.short_script(), known)}
         loaded, *found = [packed.decode(one) for one in asked.answers(order)]
         assert loaded["result"] is None
@@ -395,10 +395,10 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     assert not np.allclose(delta[0][0]["arm_joint_state"], other[0][0]["arm_joint_state"])
     alone = Counting({**config, "manifest": {**manifest, "model_io": absolute}})
     known.clear()
-    (same,) = answers(Asked(alone, absolute), [absolute])
+    (same,) = answers(PerturbedModel(alone, absolute), [absolute])
     assert np.array_equal(same["result"][2][0]["arm_joint_state"], other[2][0]["arm_joint_state"])
-    assert variants.unfit(model) is None
-    assert "encode" in str(variants.unfit(Encoding(config)))
-    assert "no model_io block" in str(variants.unfit(Counting({**config, "manifest": {}})))
+    assert block_answers.why_converts_in_code(model) is None
+    assert "encode" in str(block_answers.why_converts_in_code(Encoding(config)))
+    assert "no model_io block" in str(block_answers.why_converts_in_code(Counting({**config, "manifest": {}})))
     known.clear()
-    assert answers(Asked(alone, absolute), [block], -1.0) == []
+    assert answers(PerturbedModel(alone, absolute), [block], -1.0) == []

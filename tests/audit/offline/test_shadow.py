@@ -9,9 +9,9 @@ import pytest
 
 from xpl.client import Client
 from xpl.policy import Policy
-from xpl.worker.belonging import is_third_party
-from xpl.worker.lacking import ShadowError, lacking
-from xpl.worker.shadow import UndividedError, shadow_of
+from xpl.worker.missing_requirements import ShadowError, missing_requirement
+from xpl.worker.shadow import NoShadowError, shadow_of
+from xpl.worker.third_party import is_third_party
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.rules.gates import Gate
@@ -233,7 +233,7 @@ def test_only_files_of_the_checkpoint_are_a_missing_checkpoint(package: Path) ->
     missing = [
         FileNotFoundError(2, "", str(package / name)) for name in ("weights/run7/a.pt", "checkpoints/b", "stats")
     ]
-    found = [(lacking(error, package, config) or {}).get("kind") for error in missing]
+    found = [(missing_requirement(error, package, config) or {}).get("kind") for error in missing]
     assert found == ["checkpoint", "checkpoint", None]
 
 
@@ -308,7 +308,7 @@ def test_the_shadow_reads_tensors_and_refuses_what_it_cannot_read() -> None:
     assert np.array_equal(shadow.predict([Tensor()], [0]), shadow.predict([np.ones(3)], [0]))
     with pytest.raises(ShadowError, match=r"builtins\.object"):
         shadow.predict([object()], [0])
-    with pytest.raises(UndividedError):
+    with pytest.raises(NoShadowError):
         shadow_of(object)
 
 
@@ -331,7 +331,7 @@ def test_the_shadow_of_an_adapter_with_a_model_io_block_answers_in_the_models_wo
         "action": {"reference": "delta_state", "parts": parts, "normalize": normalize, "pad": 32},
     }
     config = {"env_cfg_type": "arx_x5", "action_type": "joint"}
-    with pytest.raises(UndividedError):
+    with pytest.raises(NoShadowError):
         shadow_of(_OfModel)(config)
     policy = shadow_of(_OfModel)({**config, "manifest": {"temporal": {"chunk": 6}, "model_io": model_io}})
     rng = np.random.default_rng(0)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.support.adapters import parity, sights
+from tests.support.adapters import parity, two_arm_adapter
 from tests.support.outside.browser import browser
 from tests.support.peer import xpl
 from xpl import images
@@ -65,13 +65,13 @@ class Model(Policy):
 
 def looked(folder: Path, model_io: dict[str, Any]) -> tuple[ShownAdapter, ShownScene, report.ShowReport]:
     """Return an adapter with this block, what is shown to it, and what its model sees of that."""
-    what = load_adapter(package.load(sights.made(folder, model_io)), {})
+    what = load_adapter(package.load(two_arm_adapter.write_adapter(folder, model_io)), {})
     view = scene.scripted(what.package.manifest, what.robot, what.cameras, 1)
     return what, view, report.report_from_block(what, view)
 
 
 def test_the_page_the_picture_and_the_numbers_are_written(tmp_path: Path) -> None:
-    folder = sights.made(tmp_path / "P", sights.block())
+    folder = two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())
     done = xpl("model-io", "show", str(folder), "--out", "shown", "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
     told = json.loads(done.stdout)
@@ -102,7 +102,7 @@ def test_a_browser_shows_the_page_without_asking_anybody(tmp_path: Path) -> None
 
 def test_words_of_strangers_are_words(tmp_path: Path) -> None:
     evil = "<script>alert(1)</script>"
-    model_io = sights.block(images=[sights.image(evil, "cam_head")])
+    model_io = two_arm_adapter.block(images=[two_arm_adapter.image(evil, "cam_head")])
     model_io["instruction"]["template"] = evil + "{instruction}"
     text = page.page(looked(tmp_path / "P", model_io)[-1])
     assert evil not in text
@@ -120,9 +120,11 @@ AUTHORS = "import cv2\n\n\ndef frames(path):\n    return cv2.imread(path)  # BGR
 
 def _conventions(folder: Path) -> str:
     """Return the part of the page about conventions, of an adapter with a reference."""
-    model_io = sights.block(images=[sights.image("top", "cam_head", layout={"unknown": "no transform names it"})])
+    model_io = two_arm_adapter.block(
+        images=[two_arm_adapter.image("top", "cam_head", layout={"unknown": "no transform names it"})]
+    )
     model_io["action"]["reference"] = {"assumed": model_io["action"]["reference"], "why": "the paper <i>says</i> so"}
-    sights.made(folder, model_io)
+    two_arm_adapter.write_adapter(folder, model_io)
     (folder / "reference.py").write_text(REFERENCE)
     (folder / "authors.py").write_text(AUTHORS)
     done = xpl("model-io", "show", str(folder), "--out", "shown", cwd=folder.parent)
@@ -155,7 +157,7 @@ def _run(folder: Path) -> report.ShowReport:
 
 
 def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None:
-    found = _run(sights.made(tmp_path / "P", sights.block(), EXCHANGES))
+    found = _run(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block(), EXCHANGES))
     top = next(view for view in found.views if view.input == "top")
     assert top.notes == ("red and blue exchanged",)
     assert any(note.startswith("top: numbers differ by up to") for note in found.notes)
@@ -165,7 +167,7 @@ def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None
 
 
 def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Path) -> None:
-    found = _run(sights.made(tmp_path / "P", None, BY_HAND))
+    found = _run(two_arm_adapter.write_adapter(tmp_path / "P", None, BY_HAND))
     (view,) = found.views
     assert (view.input, view.camera) == ("views[0]", "cam_left_wrist")
     assert view.notes == ("most like cam_left_wrist", "mirrored", "red and blue exchanged")
@@ -175,7 +177,7 @@ def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Pat
 
 
 def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path) -> None:
-    folder = sights.made(tmp_path / "P", None)
+    folder = two_arm_adapter.write_adapter(tmp_path / "P", None)
     done = xpl("model-io", "show", str(folder), cwd=tmp_path)
     assert done.returncode == ExitCode.NOT_RUN
     assert "has no model_io block" in done.stderr
@@ -185,8 +187,8 @@ def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path
 def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
     """A convention, a file of statistics, and one of samples; all else is shown with plain values."""
     rows = [{"file": "rows.npz", "key": "pose", "parts": [{"position": {"arm": "left"}}]}]
-    unknown = sights.image("top", "cam_head", channels={"unknown": "no transform names it"})
-    model_io = sights.block(images=[unknown], samples=rows)
+    unknown = two_arm_adapter.image("top", "cam_head", channels={"unknown": "no transform names it"})
+    model_io = two_arm_adapter.block(images=[unknown], samples=rows)
     model_io["state"][0]["normalize"] = {"rule": "mean_std", "file": "stats.json"}
     _, _, found = looked(tmp_path / "P", model_io)
     told = "\n".join(found.notes)
@@ -197,7 +199,7 @@ def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
 
 
 def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo")
+    folder = parity.write_adapter(tmp_path / "Foo")
     assert xpl("model-io", "record", str(folder), cwd=tmp_path).returncode == ExitCode.CLEAN
     what = load_adapter(package.load(folder), {})
     view, steps, told = report.first_pair(what) or pytest.fail("no pairs")
@@ -208,7 +210,7 @@ def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
 
 
 def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
-    what, view, _ = looked(tmp_path / "P", sights.block())
+    what, view, _ = looked(tmp_path / "P", two_arm_adapter.block())
     photo = np.zeros((30, 40, 3), np.uint8)
     photo[:, :20] = (200, 10, 10)
     (tmp_path / "photo.png").write_bytes(images.encode_png(photo))
@@ -235,7 +237,7 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     ],
 )
 def test_options_that_do_not_fit_are_refused(arguments: tuple[Any, ...], words: str, tmp_path: Path) -> None:
-    folder = sights.made(tmp_path / "P", sights.block())
+    folder = two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())
     done = xpl("model-io", "show", str(folder), *arguments, cwd=tmp_path)
     assert done.returncode not in {ExitCode.CLEAN, ExitCode.INTERNAL}
     assert words in done.stderr

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.support.adapters import sights
+from tests.support.adapters import two_arm_adapter
 from xpl_cli.model_io.show import image_transforms, report, scene
 from xpl_cli.model_io.show.cards import card
 from xpl_cli.model_io.show.shown_adapter import load_adapter
@@ -25,7 +25,7 @@ RED = (0.12, 0.12)
 
 def shown(folder: Path, model_io: dict[str, Any]) -> ShowReport:
     """Return what a model with this block sees of the test cards."""
-    what = load_adapter(package.load(sights.made(folder, model_io)), {})
+    what = load_adapter(package.load(two_arm_adapter.write_adapter(folder, model_io)), {})
     return report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, what.reach))
 
 
@@ -39,7 +39,7 @@ def views(found: ShowReport) -> dict[str, ImageView]:
 
 
 def test_a_right_block_shows_the_cameras_and_says_nothing(tmp_path: Path) -> None:
-    found = views(shown(tmp_path / "P", sights.block()))
+    found = views(shown(tmp_path / "P", two_arm_adapter.block()))
     assert {name: view.camera for name, view in found.items()} == {
         "top": "cam_head",
         "left_wrist": "cam_left_wrist",
@@ -53,7 +53,7 @@ def test_a_right_block_shows_the_cameras_and_says_nothing(tmp_path: Path) -> Non
 
 
 def test_blue_before_red_is_seen_in_the_numbers(tmp_path: Path) -> None:
-    model_io = sights.block(images=[sights.image("top", "cam_head", channels="bgr")])
+    model_io = two_arm_adapter.block(images=[two_arm_adapter.image("top", "cam_head", channels="bgr")])
     view = views(shown(tmp_path / "P", model_io))["top"]
     assert at(view.seen[8:56]) == "red"
     assert at(view.raw[8:56]) == "blue"
@@ -61,8 +61,11 @@ def test_blue_before_red_is_seen_in_the_numbers(tmp_path: Path) -> None:
 
 
 def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
-    model_io = sights.block(
-        images=[sights.image("left_wrist", "cam_right_wrist"), sights.image("right_wrist", "cam_left_wrist")]
+    model_io = two_arm_adapter.block(
+        images=[
+            two_arm_adapter.image("left_wrist", "cam_right_wrist"),
+            two_arm_adapter.image("right_wrist", "cam_left_wrist"),
+        ]
     )
     found = views(shown(tmp_path / "P", model_io))
     assert found["left_wrist"].notes == ("the input is called left_wrist, and shows cam_right_wrist",)
@@ -82,7 +85,7 @@ def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
     ],
 )
 def test_turned_and_mirrored_pictures_are_said(steps: list[dict[str, Any]], words: list[str], tmp_path: Path) -> None:
-    model_io = sights.block(images=[sights.image("top", "cam_head", steps=steps)])
+    model_io = two_arm_adapter.block(images=[two_arm_adapter.image("top", "cam_head", steps=steps)])
     assert list(views(shown(tmp_path / "P", model_io))["top"].notes) == words
 
 
@@ -98,7 +101,9 @@ def test_red_and_blue_exchanged_on_the_way_are_said() -> None:
 
 
 def test_history_shows_its_moments(tmp_path: Path) -> None:
-    model_io = sights.block(history={"length": 3, "stride": 2}, images=[sights.image("top", "cam_head")])
+    model_io = two_arm_adapter.block(
+        history={"length": 3, "stride": 2}, images=[two_arm_adapter.image("top", "cam_head")]
+    )
     found = shown(tmp_path / "P", model_io)
     assert [view.when for view in found.views] == [0, 2, 4]
     for view in found.views:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.support.adapters import model_io as support
-from tests.support.adapters import sights
+from tests.support.adapters import two_arm_adapter
 from xpl import get_embodiment
 from xpl.convert import compile_interface
 from xpl_cli.model_io import script
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
-    what = load_adapter(package.load(sights.made(tmp_path / "P", sights.block())), {})
+    what = load_adapter(package.load(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())), {})
     found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     (vector,) = found.vectors
     first, gripper, padding = vector.numbers[0], vector.numbers[6], vector.numbers[-1]
@@ -37,7 +37,7 @@ def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
 
 
 def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: Path) -> None:
-    what = load_adapter(package.load(sights.made(tmp_path / "P", sights.block())), {})
+    what = load_adapter(package.load(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())), {})
     found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
     joint, gripper = found.action[1], found.action[6]
     before, after = (entry["values"] for entry in (joint.standard[0], {"values": joint.values["before"]}))

@@ -1,4 +1,4 @@
-"""Checks of a set: how one is declared, and what each sees of an episode."""
+"""Base class of the checks of a dataset, and the data of an episode that each check gets."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ if TYPE_CHECKING:
     from xpl_cli.data.probe.probe import ProbeResult
 
 MOST_NAMED: Final = 5
-"""Episodes that a finding names; of more their number is told."""
+"""Most episodes that a finding names; of the others it gives the number."""
 
 
 @dataclass(frozen=True)
 class CameraFrames:
-    """What was seen of a camera in one episode.
+    """Images of a camera in one episode.
 
     Attributes:
-        count: images that there are; None where they were not looked at.
-        first: the first one, made small, (h, w, 3) uint8; None if there is none.
-        same: for each image but the first whether it equals the one before it, (N - 1,).
+        count: number of images; None where they were not decoded.
+        first: the first image, downscaled, (h, w, 3) uint8; None if there is none.
+        repeats: (N - 1,) bool: for each image but the first whether it equals the one before it.
         error: why images cannot be read; "" if they can.
     """
 
@@ -45,11 +45,11 @@ class EpisodeData:
 
     Attributes:
         key: its name in the set.
-        length: how many steps it says that it has.
-        instructions: what the robot was told.
+        length: number of steps that the dataset declares.
+        instructions: in natural language.
         columns: by name (T, D) float64; those that are not numbers are missing.
         shapes: by name the shape of a row.
-        cameras: by name what was seen.
+        cameras: images by camera.
         errors: by column why it cannot be read.
     """
 
@@ -64,12 +64,12 @@ class EpisodeData:
 
 @dataclass(frozen=True)
 class DatasetInfo:
-    """What is known of the whole set.
+    """What is known of the whole dataset.
 
     Attributes:
         format: name of its format.
         robot: name of the embodiment, None if it is unknown.
-        found: what a probe measured: which numbers are joints, grippers, rotations.
+        found: result of `xpl data probe`: which numbers are joints, grippers, rotations.
     """
 
     format: str
@@ -78,9 +78,9 @@ class DatasetInfo:
 
 
 class DemonstrationCheck(ABC):
-    """One check of a set: it sees episode after episode, and keeps of each only what it needs.
+    """One check of a dataset: it gets one episode after the other, and keeps only what it needs of each.
 
-    The docstring of a check is what `xpl explain` prints. `severity` is `must` or `should`.
+    `xpl explain` prints the docstring of a check. `severity` is `must` or `should`.
     """
 
     code: ClassVar[str]
@@ -90,9 +90,9 @@ class DemonstrationCheck(ABC):
     target: ClassVar[str] = "demonstrations"
     requirement: ClassVar[str] = ""
     needs_images: ClassVar[bool] = False
-    """Whether it needs images."""
+    """Whether it needs decoded images."""
     needs_probe: ClassVar[bool] = False
-    """Whether it needs to know which numbers are what."""
+    """Whether it needs the probe: which numbers are joints, grippers and rotations."""
     documentation: ClassVar[str] = ""
     """The docstring: a summary line, then sections with fixed headings."""
     summary: ClassVar[str] = ""
@@ -107,40 +107,40 @@ class DemonstrationCheck(ABC):
         self.tally = EpisodeTally()
 
     def take(self, episode: EpisodeData) -> None:
-        """Count an episode and look at it.
+        """Count an episode and inspect it.
 
         Raises:
-            NotApplicable: there is nothing to prove on this set.
+            NotApplicable: the check does not apply to this dataset.
         """
         self.tally.episodes += 1
         self.inspect(episode)
 
     @abstractmethod
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at an episode, and note in `tally` what is wrong."""
+        """Inspect an episode, and add problems to `tally`."""
 
     def findings(self) -> Iterator[Finding]:
-        """Yield what is wrong, after the last episode; what was noted by default.
+        """Yield findings after the last episode; by default those of `tally`.
 
         Raises:
-            NotApplicable: there was nothing to prove on this set.
+            NotApplicable: the check does not apply to this dataset.
         """
         yield from self.tally.findings()
 
 
 @dataclass
 class EpisodeTally:
-    """Episodes in which something is wrong, by what: one finding for each, not one for each episode."""
+    """Episodes by problem: one finding for each problem, not one for each episode."""
 
     counts: dict[str, list[str]] = field(default_factory=dict)
     episodes: int = 0
 
     def add(self, what: str, where: str) -> None:
-        """Note something in an episode, at such as `episode_3 (step 12)`."""
+        """Add a problem in an episode, at a location such as `episode_3 (step 12)`."""
         self.counts.setdefault(what, []).append(where)
 
     def findings(self, *, must: bool | None = None, expected: str | None = None) -> Iterator[Finding]:
-        """Yield a finding for each thing that is wrong."""
+        """Yield one finding for each problem."""
         for what, where in self.counts.items():
             message = f"{what}, in {len(where)} of {self.episodes} episodes: {join_limited(where, MOST_NAMED)}"
             yield Finding(message, expected=expected, evidence={"episodes": len(where), "of": self.episodes}, must=must)

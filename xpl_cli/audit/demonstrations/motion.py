@@ -33,8 +33,8 @@ class JointLimits(DemonstrationCheck):
     `--robot` names, or that kinematics finds. More than 0.05 rad beyond a limit is a finding.
 
     ## Why it matters
-    A joint beyond its limit is another joint, another unit, or another robot: a policy that is trained on it commands
-    what the robot refuses.
+    A joint beyond its limit means another joint order, unit or robot: a policy that is trained on it commands what the
+    robot refuses.
 
     ## Example
     Joint 4 of a Franka at +0.3 rad, where it ends at -0.07.
@@ -69,7 +69,7 @@ class JointLimits(DemonstrationCheck):
     def inspect(self, episode: EpisodeData) -> None:
         """Compare its joints."""
         if self._robot is None:
-            raise NotApplicable("the set names no robot that is known, and nothing measures it: --robot NAME says it")
+            raise NotApplicable("the dataset names no known robot, and the probe identifies none: name it with --robot")
         if not self._columns:
             raise NotApplicable("no column is known to hold joints")
         arm = get_embodiment(self._robot).arms[0]
@@ -99,7 +99,7 @@ class GripperRange(DemonstrationCheck):
 
     ## Why it matters
     An episode with another unit or calibration teaches that half open is closed. Normalisation by the range of the data
-    makes it worse: one wrong episode presses all others together.
+    makes it worse: one wrong episode compresses the range of all others.
 
     ## Example
     Episode 7 has 0 to 255, all others 0 to 1.
@@ -121,7 +121,7 @@ class GripperRange(DemonstrationCheck):
         self._ranges: dict[tuple[str, int], list[tuple[str, float, float]]] = {}
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Note its ranges."""
+        """Record its ranges."""
         if not self._columns:
             raise NotApplicable("no column is known to be a gripper")
         for column, start, stop in self._columns:
@@ -133,7 +133,7 @@ class GripperRange(DemonstrationCheck):
                 self._ranges.setdefault((column, index), []).append((episode.key, low, high))
 
     def findings(self) -> Iterator[Finding]:
-        """Yield what leaves the range."""
+        """Yield episodes that leave the range."""
         for (column, _), entries in self._ranges.items():
             lows, highs = np.array([low for _, low, _ in entries]), np.array([high for _, _, high in entries])
             low, high = (0.0, 1.0) if self.about.format == _STANDARD else self._usual(lows, highs)
@@ -153,14 +153,14 @@ class GripperRange(DemonstrationCheck):
 
 
 class _QuaternionCheck(DemonstrationCheck):
-    """Looks at all that is a quaternion."""
+    """Base class of the checks of quaternions."""
 
     def __init__(self, dataset: DatasetInfo) -> None:
         super().__init__(dataset)
         self._has_quaternions = False
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at its quaternions."""
+        """Inspect its quaternions."""
         for name, start in _find_quaternions(episode):
             self._has_quaternions = True
             problem = self._find_problem(episode.columns[name][:, start : start + 4])
@@ -170,10 +170,10 @@ class _QuaternionCheck(DemonstrationCheck):
 
     @abstractmethod
     def _find_problem(self, rows: np.ndarray) -> tuple[str, str] | None:
-        """Return what is wrong with quaternions (T, 4), and where; None if nothing is."""
+        """Return the problem of quaternions (T, 4), and its location; None if there is none."""
 
     def findings(self) -> Iterator[Finding]:
-        """Yield quaternions with which something is wrong."""
+        """Yield quaternions with problems."""
         if not self._has_quaternions:
             raise NotApplicable("no column holds quaternions")
         yield from self.tally.findings()
@@ -183,14 +183,14 @@ class QuaternionNorm(_QuaternionCheck):
     """Quaternions have the length 1.
 
     ## What it does
-    Takes for a quaternion what has the length 1 in most rows, and looks at the others.
+    Detects quaternions by their length of 1 in most rows, and reports the other rows.
 
     ## Why it matters
-    A row of zeros, or of numbers that were averaged or filtered one by one, is no rotation. What reads it turns it into
-    some rotation without a word.
+    A row of zeros, or of numbers that were averaged or filtered one by one, is not a rotation. Code that reads it turns
+    it into some rotation without an error.
 
     ## Example
-    The first pose of an episode is [0, 0, 0, 0], as the tracker had not begun.
+    The first pose of an episode is [0, 0, 0, 0], because the tracker had not started.
 
     ## Use instead
     Cut the rows; scale what was filtered.
@@ -213,10 +213,10 @@ class QuaternionSign(_QuaternionCheck):
     """Quaternions do not change their sign from one step to the next.
 
     ## What it does
-    Looks for steps in which a quaternion becomes nearly its negative: the same rotation, written the other way.
+    Finds steps in which a quaternion becomes nearly its negative, which is the same rotation.
 
     ## Why it matters
-    q and -q are one rotation and two targets. A network that is to learn both answers their mean, which is no rotation.
+    q and -q are one rotation and two targets. A network that learns both predicts their mean, which is not a rotation.
     Differences of quaternions, and statistics, are wrong at each such step.
 
     ## Example
@@ -239,7 +239,7 @@ class QuaternionSign(_QuaternionCheck):
 
 
 def _find_quaternions(episode: EpisodeData) -> Iterator[tuple[str, int]]:
-    """Yield column and place of what is a quaternion in most rows."""
+    """Yield column and start index of each quaternion."""
     for name, rows in episode.columns.items():
         at = 0
         while at + 4 <= rows.shape[1]:

@@ -1,4 +1,4 @@
-"""Checks of what every set has: schema, time, numbers that are none, copies, constants, language."""
+"""Checks of every dataset: schema, time, non-finite numbers, copied actions, constants, language."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class EpisodeSchema(DemonstrationCheck):
     without steps, columns that cannot be read, and columns of another length than the episode.
 
     ## Why it matters
-    A loader takes the first episode for the form of all. What another one lacks ends training hours later, or is
-    silently left out.
+    A loader takes the schema of the first episode for all. A column that another episode lacks ends training hours
+    later, or is silently left out.
 
     ## Example
     `observation.state` has 14 numbers in 49 episodes and 13 in one.
@@ -47,7 +47,7 @@ class EpisodeSchema(DemonstrationCheck):
         self._keys: list[str] = []
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Note its columns."""
+        """Record its columns."""
         self._keys.append(episode.key)
         if not episode.length:
             self.tally.add("an episode has no steps", episode.key)
@@ -64,7 +64,7 @@ class EpisodeSchema(DemonstrationCheck):
     def findings(self) -> Iterator[Finding]:
         """Yield what differs from most episodes."""
         if not self._keys:
-            yield Finding("the set has no episodes", expected="at least one")
+            yield Finding("the dataset has no episodes", expected="at least one")
         for name in dict.fromkeys(name for name, _ in self._shapes):
             shapes = {shape: keys for (other, shape), keys in self._shapes.items() if other == name}
             usual = max(shapes, key=lambda shape: len(shapes[shape]))
@@ -87,17 +87,17 @@ class EpisodeSchema(DemonstrationCheck):
 
 
 class TimeGaps(DemonstrationCheck):
-    """Times go on evenly: no step back, no gap.
+    """Timestamps increase evenly: no step back, no gap.
 
     ## What it does
-    Looks at columns of times. A step that does not go on fails; a step of more than 1.8 times the usual one warns.
+    Reads columns of timestamps. A step that does not increase fails; a step of more than 1.8 times the median warns.
 
     ## Why it matters
     A policy is trained as if each row came one control step after the other. Where a recorder lost rows, the robot
-    seems to leap, and chunks of actions cover more time than they say.
+    seems to jump, and action chunks cover more time than they should.
 
     ## Example
-    `timestamp` goes on by 0.033 s, and once by 0.4 s.
+    `timestamp` increases by 0.033 s, and once by 0.4 s.
 
     ## Use instead
     Cut the episode at the gap, or record it again.
@@ -114,7 +114,7 @@ class TimeGaps(DemonstrationCheck):
         self._clocks = 0
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at its times."""
+        """Inspect its timestamps."""
         for name, rows in episode.columns.items():
             if not is_clock(name) or rows.shape[1] != 1 or len(rows) < 3:
                 continue
@@ -123,26 +123,26 @@ class TimeGaps(DemonstrationCheck):
             usual = float(np.median(steps))
             back = np.flatnonzero(steps <= 0)
             if len(back):
-                self.tally.add(f"{name} does not go on", f"{episode.key} (step {back[0] + 1})")
+                self.tally.add(f"{name} does not increase", f"{episode.key} (step {back[0] + 1})")
             wide = np.flatnonzero(steps > _GAP * usual) if usual > 0 else np.zeros(0, int)
             if len(wide):
                 times = f"{steps[wide].max() / usual:.1f} times the usual step"
                 self._gaps.add(f"{name} has gaps", f"{episode.key} (step {wide[0] + 1}, {times})")
 
     def findings(self) -> Iterator[Finding]:
-        """Yield steps back, which fail, and gaps, which warn."""
+        """Yield decreasing timestamps, which fail, and gaps, which warn."""
         if not self._clocks:
-            raise NotApplicable("no column holds times")
+            raise NotApplicable("no column holds timestamps")
         yield from self.tally.findings()
         self._gaps.episodes = self.tally.episodes
         yield from self._gaps.findings(must=False)
 
 
 class FiniteNumbers(DemonstrationCheck):
-    """Every number is one: no NaN, no infinity.
+    """Every number is finite: no NaN, no infinity.
 
     ## What it does
-    Looks at every number of states and commands.
+    Checks every number of states and commands.
 
     ## Why it matters
     One NaN makes a loss NaN, and from then on every weight.
@@ -160,7 +160,7 @@ class FiniteNumbers(DemonstrationCheck):
     code, slug, severity = "XPL706", "not-finite", "must"
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at its numbers."""
+        """Check its numbers."""
         for name, rows in episode.columns.items():
             wrong = np.flatnonzero(~np.isfinite(rows).all(1))
             if len(wrong):
@@ -174,14 +174,14 @@ class ActionIsState(DemonstrationCheck):
     Compares columns of commands with columns of the state, number by number, in the same row.
 
     ## Why it matters
-    A policy learns from a copy to stay where it is. It comes of recorders without access to commands, which write the
-    measured joints twice; then the next state is the nearest thing to a command.
+    From a copy, a policy learns to stay where it is. Recorders without access to commands write the measured joints
+    twice; then the next state is the best substitute for a command.
 
     ## Example
     `action` equals `observation.state` in every row.
 
     ## Use instead
-    Record the commands; without them take the state of a later step, and say so.
+    Record the commands; without them take the state of a later step, and document it.
 
     ## Fix safety
     No automatic fix.
@@ -205,19 +205,19 @@ class ActionIsState(DemonstrationCheck):
 
 
 class Instructions(DemonstrationCheck):
-    """Every episode says what the robot was told.
+    """Every episode has an instruction.
 
     ## What it does
-    Looks for episodes without an instruction, or with a blank one.
+    Finds episodes without an instruction, or with a blank one.
 
     ## Why it matters
-    A policy that reads language learns from these that words mean nothing.
+    From these, a language-conditioned policy learns to ignore the instruction.
 
     ## Example
-    Three episodes of `stack_blocks` have no sentence.
+    Three episodes of `stack_blocks` have no instruction.
 
     ## Use instead
-    Add the sentence; sets for policies that read none may waive this.
+    Add the instruction; waive this for datasets of policies that read no language.
 
     ## Fix safety
     No automatic fix.
@@ -226,26 +226,26 @@ class Instructions(DemonstrationCheck):
     code, slug, severity = "XPL711", "no-instruction", "should"
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Look at its sentences."""
+        """Check its instructions."""
         if not any(sentence.strip() for sentence in episode.instructions):
-            self.tally.add("the robot was told nothing", episode.key)
+            self.tally.add("the episode has no instruction", episode.key)
 
 
 class ConstantNumbers(DemonstrationCheck):
-    """Numbers change: no state or command stands still in all episodes, beside others that move.
+    """Numbers vary: no state or command is constant in all episodes while others of its column move.
 
     ## What it does
-    Looks for numbers of states and commands that are the same in every row of every episode.
+    Finds numbers of states and commands that are equal in every row of every episode.
 
     ## Why it matters
     A joint that never moves while its neighbours do is a sensor that is not read, or a column that was filled with
-    zeros. Normalisation divides by its span, which is zero.
+    zeros. Normalisation divides by its range, which is zero.
 
     ## Example
     The fifth number of `observation.state` is 0 in all rows.
 
     ## Use instead
-    Repair the recorder; where the number is to stand still, waive it, and say what normalisation does with it.
+    Repair the recorder; if the number is constant on purpose, waive this, and state how it is normalised.
 
     ## Fix safety
     No automatic fix.
@@ -259,7 +259,7 @@ class ConstantNumbers(DemonstrationCheck):
         self._high: dict[str, np.ndarray] = {}
 
     def inspect(self, episode: EpisodeData) -> None:
-        """Note its ranges."""
+        """Record its ranges."""
         for name, rows in episode.columns.items():
             if role_of(name) not in {STATE, COMMAND} or not len(rows) or not np.isfinite(rows).all():
                 continue

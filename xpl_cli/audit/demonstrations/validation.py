@@ -1,4 +1,4 @@
-"""Runs the checks on a set, episode after episode, and reports as the audit does."""
+"""Runs the checks on a dataset, episode by episode, and returns a report like that of the audit."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import Demonstrations, RecordedEpisode
 
 _SMALL: Final = 40
-"""Pixels that first images are made smaller to."""
+"""Longest side of the downscaled first images, pixels."""
 _PROBED: Final = 24
 _MANY: Final = 24
-"""Episodes from which on all cores work."""
+"""Number of episodes from which all cores are used."""
 _TOLD_AGAIN_S: Final = 2.0
 """Seconds between two lines of progress."""
 _WIDEST: Final = 4096
-"""Numbers of a row that are still looked at: more is a picture by another name, of which only the form is."""
+"""Most numbers of a row that are read; of a larger column, such as an unnamed image, only the shape counts."""
 _MOST_NUMBERS: Final = 1 << 24
-"""Of one episode: two hours of an arm and its commands at 100 Hz are half of it."""
+"""Of one episode: two hours of an arm and its commands at 100 Hz take half of it."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +63,10 @@ class ValidationOptions:
         episodes: how many, evenly spread; None for all.
         images: whether images are decoded.
         robot: name of the embodiment, where the user says it.
-        names: codes, their beginnings, and slugs of the checks that run; empty for all.
+        names: codes, prefixes of codes, and slugs of the checks that run; empty for all.
         ignore: likewise of those that do not.
         waived: by code or slug why findings are accepted.
-        told: is told what is going on.
+        progress: receives progress messages.
     """
 
     episodes: int | None = None
@@ -97,10 +97,10 @@ def select_checks(options: ValidationOptions) -> list[type[DemonstrationCheck]]:
 
 
 def validate(demonstrations: Demonstrations, path: str, options: ValidationOptions) -> TargetReport:
-    """Check a set.
+    """Check a dataset.
 
     Args:
-        demonstrations: the set.
+        demonstrations: the dataset.
         path: how reports name it.
         options: what is checked.
     """
@@ -129,7 +129,7 @@ def validate(demonstrations: Demonstrations, path: str, options: ValidationOptio
 
 
 def _read_episodes(demonstrations: Demonstrations, indices: Sequence[int], *, images: bool) -> Iterator[EpisodeData]:
-    """Yield what is seen of episodes, in their order; of many with all cores, each process one episode at a time.
+    """Yield the data of episodes in order; of many with all cores, each process one episode at a time.
 
     Raises:
         DataError: a process died over one.
@@ -140,7 +140,7 @@ def _read_episodes(demonstrations: Demonstrations, indices: Sequence[int], *, im
     read = partial(_read_in_process, os.getpid(), Path(demonstrations.path), images)
     for index, seen in zip(indices, parallel.map_in_processes(read, indices), strict=True):
         if seen is None:
-            raise DataError(f"the process that read the episode {index} died", hint="is there memory enough for it?")
+            raise DataError(f"the process that read the episode {index} died", hint="is there enough memory?")
         yield seen
 
 
@@ -156,7 +156,7 @@ def _open_cached(path: Path) -> Demonstrations:
 
 
 def _report_progress(episodes: Iterator[EpisodeData], options: ValidationOptions, total: int) -> Iterator[EpisodeData]:
-    """Yield episodes, and tell now and then how far it is."""
+    """Yield episodes, and report progress every two seconds."""
     begins = last_report = time.monotonic()
     for count, episode in enumerate(episodes, 1):
         yield episode
@@ -174,26 +174,26 @@ def _matches(check: type[DemonstrationCheck], name: str) -> bool:
 def _make_checks(
     chosen: Sequence[type[DemonstrationCheck]], demonstrations: Demonstrations, options: ValidationOptions
 ) -> list[DemonstrationCheck]:
-    """Return the checks of a set, which know what a probe finds in it."""
+    """Return the checks of a dataset, with the result of a probe."""
     from xpl.embodiment import embodiment_names
 
     robot = options.robot or (demonstrations.robot if demonstrations.robot in embodiment_names() else None)
     probe_result = ProbeResult([], [], [])
     if not any(check.needs_probe for check in chosen):
         return [check(DatasetInfo(demonstrations.format, robot, probe_result)) for check in chosen]
-    options.progress("which numbers are what")
-    with contextlib.suppress(DataError, ValueError):  # of a set that is damaged the checks say where
+    options.progress("probing the columns")
+    with contextlib.suppress(DataError, ValueError):  # the checks report where a dataset is damaged
         probe_result = probe(demonstrations, episodes=_PROBED, robot=robot, images=False)
     return [check(DatasetInfo(demonstrations.format, robot, probe_result)) for check in chosen]
 
 
 def _store_findings(results: dict[str, RuleResult], check: DemonstrationCheck, waived: Mapping[str, str]) -> None:
-    """Note what a check found."""
+    """Store the findings of a check."""
     results[check.code] = _make_result(check, list(check.findings()), waived)
 
 
 def _run_step(results: dict[str, RuleResult], check: DemonstrationCheck, step: Callable[[], None]) -> None:
-    """Let a check take a step; note how it ends where it does not go on."""
+    """Run a step of a check; store the result if the check ends with it."""
     try:
         step()
     except NotApplicable as why:
@@ -207,7 +207,7 @@ def _make_ended_result(check: DemonstrationCheck, outcome: Outcome, reason: str)
 
 
 def _make_result(check: DemonstrationCheck, findings: Sequence[Finding], waived: Mapping[str, str]) -> RuleResult:
-    """Return the result of a check that saw all episodes."""
+    """Return the result of a check that got all episodes."""
     reason = next((why for name, why in waived.items() if _matches(type(check), name)), None)
     reported = () if reason is not None else tuple(findings)
     accepted = tuple(Waived(finding, reason) for finding in findings) if reason is not None else ()
@@ -254,7 +254,7 @@ def _read_episode(episode: RecordedEpisode, *, images: bool) -> EpisodeData:
 
 
 def _read_frames(episode: RecordedEpisode, camera: str) -> CameraFrames:
-    """Look at the images of a camera, one by one."""
+    """Read the images of a camera, one by one."""
     count, first, last = 0, None, b""
     same: list[bool] = []
     try:

@@ -15,8 +15,8 @@ import pytest
 from tests.audit.offline.oracle import table
 from tests.audit.offline.oracle.local import Judged
 from tests.audit.offline.oracle.planting import Subject, trained
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl import get_embodiment
 from xpl.catalogue import AdapterCase
 from xpl_cli.audit.engine import fixtures

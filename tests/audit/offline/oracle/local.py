@@ -17,8 +17,8 @@ from xpl.client import PolicyServerError
 from xpl.episodes import EpisodeCounter
 from xpl.observation import ObservationError
 from xpl.wire import packed
-from xpl.worker.changes import Asked
 from xpl.worker.loading import load_model_class
+from xpl.worker.perturbed_answers import PerturbedModel
 from xpl_cli.audit.engine.checks import Checks
 from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.offline.search.loaded_adapter import LoadedAdapter
@@ -82,7 +82,7 @@ class Local:
 
     def blocks(self, again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
-        course, asked = again._course, Asked(self.model, again._block)
+        course, asked = again._course, PerturbedModel(self.model, again._block)
         order = {"blocks": tried, "seconds": seconds, **course.told(course.calls(wanted), set())}
         why, *answers = [packed.decode(one).get("result") for one in asked.answers(order)]
         if why is not None:
