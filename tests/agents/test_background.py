@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from tests.support import pages
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from tests.support import commands
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl_cli.agents.review import form, new_findings, page, review
 from xpl_cli.agents.review.change import BranchChange, ChangedPackage, change_since
 from xpl_cli.agents.review.description import TEMPLATE
@@ -31,7 +31,7 @@ from xpl_cli.basics import files
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.basics.git.history import Repository
 from xpl_cli.basics.untrusted import in_markdown, one_line
-from xpl_cli.packages.targets import Target
+from xpl_cli.packages.targets import AuditTarget
 from xpl_cli.standard import spec
 
 FORM = (ROOT / TEMPLATE).read_text(encoding="utf-8")
@@ -228,7 +228,7 @@ def of_results(*results: RuleResult) -> review.Review:
     report = TargetReport("policy/Foo", "Foo", "policy", [GateReport(Gate.OFFLINE, list(results))])
     context = ReportContext(here=Path("/"))
     remarks = tuple(review._group_findings(review.listed_findings([report], context), set(), frozenset()))
-    touched = ChangedPackage(Target(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
+    touched = ChangedPackage(AuditTarget(Path("/policy/Foo"), "policy", "policy/Foo"), "policy/Foo", 1, "added")
     return review.Review(BranchChange("main", "0" * 40, (touched,), (), ()), (report,), remarks, None, context)
 
 

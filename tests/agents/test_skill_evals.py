@@ -19,7 +19,7 @@ from benchmarks.skills_bench.cases import Query, Task
 from benchmarks.skills_bench.main import main
 from benchmarks.skills_bench.project import CONDITIONS, project
 from benchmarks.skills_bench.runs import Plan
-from tests.support.told import Command, fault
+from tests.support.quoted_commands import QuotedCommand, command_error
 from xpl_cli.agents.skills.bundle import bundles, contents
 
 SKILLS = bundles()
@@ -68,7 +68,11 @@ def _make(case: Query | Task, agent: Agent | None, condition: str = "skills", li
 @each_task
 def test_a_task_can_be_set_and_understood(task: Task) -> None:
     """Nothing of the evaluations gets into a project with the skills, either."""
-    assert [wrong for line in task.setup if (wrong := fault(Command(tuple(shlex.split(line)[1:]), exact=True)))] == []
+    assert [
+        wrong
+        for line in task.setup
+        if (wrong := command_error(QuotedCommand(tuple(shlex.split(line)[1:]), exact=True)))
+    ] == []
     assert not any(cases.EVALS in Path(name).parts for name in contents(task.folder.parent))
     assert not any(name in task.prompt for name in NAMES)
     assert graders.REPORT in task.prompt

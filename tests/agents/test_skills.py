@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 import xpl
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.agents.skills import bundle as bundles
 from xpl_cli.agents.skills import installation, instructions, specification
 from xpl_cli.basics.errors import UserError

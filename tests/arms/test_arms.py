@@ -23,8 +23,8 @@ import pytest
 import yaml
 
 from tests.support import commands
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S, wait_until, xpl
-from tests.support.places import ROOT
 from xpl import get_embodiment
 from xpl.arms import episode as episodes
 from xpl.arms import people, watch
@@ -32,7 +32,7 @@ from xpl.arms.arx import ArxDriver
 from xpl.arms.driver import Driver, DriverError
 from xpl.arms.environment import ArmEnvironment
 from xpl.arms.episode import ArmEpisode
-from xpl.arms.lerobot import LeRobotDriver, Words, make
+from xpl.arms.lerobot import LeRobotDriver, MotorNames, make
 from xpl.arms.simulated import SimulatedRobot
 from xpl.manifest import EnvManifest
 from xpl_cli.basics.errors import ExitCode
@@ -97,7 +97,7 @@ def test_a_robot_of_lerobot_is_read_and_commanded_in_units_of_the_standard() -> 
     reading = driver.read()
     np.testing.assert_allclose(reading.state["arm_joint_state"], np.pi / 2)
     assert reading.pictures["cam_head"].image.shape == (48, 64, 3)
-    reversed_ = LeRobotDriver(robot, ARM, Words(unit="radians", closed=100.0, open=0.0))
+    reversed_ = LeRobotDriver(robot, ARM, MotorNames(unit="radians", closed=100.0, open=0.0))
     reversed_.command(state)
     assert robot.get_observation()["gripper.pos"] == pytest.approx(75.0)
 
@@ -118,9 +118,9 @@ def test_two_arms_are_told_apart_by_their_prefixes() -> None:
 def test_what_does_not_fit_is_told_before_anything_moves() -> None:
     """Other joints, no calibration, no LeRobot; and torque stays on when the plugin lets go."""
     with pytest.raises(DriverError, match=r"takes no wrist\.pos"):
-        LeRobotDriver(SimulatedRobot(ARM), ARM, Words(joints=("wrist.pos", *("elbow_flex.pos",) * 4)))
+        LeRobotDriver(SimulatedRobot(ARM), ARM, MotorNames(joints=("wrist.pos", *("elbow_flex.pos",) * 4)))
     with pytest.raises(DriverError, match="has 5 joints"):
-        LeRobotDriver(SimulatedRobot(ARM), ARM, Words(joints=("elbow_flex.pos",)))
+        LeRobotDriver(SimulatedRobot(ARM), ARM, MotorNames(joints=("elbow_flex.pos",)))
     uncalibrated = SimulatedRobot(ARM)
     uncalibrated.is_calibrated = False  # type: ignore[misc]
     with pytest.raises(DriverError, match="not calibrated"):

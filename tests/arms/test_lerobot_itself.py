@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from tests.arms.servo_bus import GOAL, TORQUE, servos
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl import get_embodiment
 
 PYTHON = os.environ.get("XPL_LEROBOT_PYTHON", "")

@@ -161,7 +161,7 @@ def test_a_folder_deep_in_a_package_that_looks_like_a_repository_is_files(reposi
     (repository / "policy/Foo/vendor").mkdir()
     embed(repository / "policy/Foo/vendor", marker)
     assert changed(repository) == []  # nothing that the audit reads
-    assert [touched.place for touched in change_since("main", Repository.of(repository)).packages] == ["policy/Foo"]
+    assert [touched.path for touched in change_since("main", Repository.of(repository)).packages] == ["policy/Foo"]
     assert not ran(marker)
 
 
@@ -209,7 +209,7 @@ def test_no_attribute_of_a_branch_runs_a_filter(repository: Path, marker: Path) 
     (repository / "policy/Foo/model.py").write_text("VALUE = 2\n")
     assert changed(repository) == ["Foo"]
     found = change_since("main", Repository.of(repository))
-    assert [touched.place for touched in found.packages] == ["policy/Foo"]
+    assert [touched.path for touched in found.packages] == ["policy/Foo"]
     assert unrecorded(repository / "policy/Foo") == ["policy/Foo/model.py"]
     assert not ran(marker)
 
@@ -237,7 +237,7 @@ def test_what_the_repositorys_own_settings_run_stays_unrun(repository: Path, mar
     tree = Repository.of(repository)
     assert changed(repository) == ["Foo"]
     assert tree.text(tree.base("main"), "policy/Foo/model.py") is None
-    assert [touched.place for touched in change_since("main", tree).packages] == ["policy/Foo"]
+    assert [touched.path for touched in change_since("main", tree).packages] == ["policy/Foo"]
     assert not ran(marker)
 
 
@@ -264,7 +264,7 @@ def test_nothing_in_a_repository_moves_the_place_where_a_branch_began(repository
     git(repository, "replace", f"{start}^{{tree}}", f"{top}^{{tree}}")
     assert git(repository, "merge-base", "main", "HEAD") == top, "the attack is one"
     assert changed(repository) == ["Foo"]
-    assert [touched.place for touched in change_since("main", Repository.of(repository)).packages] == ["policy/Foo"]
+    assert [touched.path for touched in change_since("main", Repository.of(repository)).packages] == ["policy/Foo"]
 
 
 @pytest.mark.parametrize("place", ["vendor/lib", "policy/Bar", "envs/bar"])

@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import learned
 from tests.support.adapters.learned import needed, small
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from benchmarks.loop_distance import REFERENCES, count_unmatched, distance, functions
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 LOOP = (ROOT / "policy/demo_policy/deploy.py").read_text(encoding="utf-8")
 

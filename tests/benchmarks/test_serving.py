@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.peer import MARK, processes, wait_until
-from tests.support.places import ROOT
 
 QUICK = ["benchmarks/serving.py", "--quick", "--only", "tcp,websockets,xpl"]
 NAMES = {"tcp", "websockets", "websockets/async", "xpl", "xpl/same", "xpl/websocket"}

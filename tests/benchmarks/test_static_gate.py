@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 COMMANDS = ["xpl audit", "xpl audit --no-cache", "ruff check", "ruff check, boundary", "ruff --select ALL, b."]
 

@@ -12,8 +12,8 @@ import yaml
 
 from tests.support import pages
 from tests.support.adapters.model_io import CASES, Case
-from tests.support.adapters.planted import Rig
-from tests.support.places import ROOT
+from tests.support.adapters.planted import RecordedEpisodes
+from tests.support.checkout import ROOT
 from xpl import catalogue
 from xpl.action import ActionError
 from xpl.convert import ConversionError, compile_interface
@@ -108,7 +108,7 @@ def test_what_was_changed_is_named(name: str, convention: str, change: Any) -> N
     case = CASES[name]
     wrong = json.loads(json.dumps(case.model_io))
     change(wrong)
-    rig = Rig(case)
+    rig = RecordedEpisodes(case)
     model_io, given = rig.answers(case.model_io), rig.answers(wrong)
     spread = spreads(model_io)
     before = differences(model_io, given, spread)

@@ -12,9 +12,9 @@ import pytest
 
 from tests.support import commands
 from tests.support.adapters.model_io import CASES
-from tests.support.adapters.planted import Rig
+from tests.support.adapters.planted import RecordedEpisodes
+from tests.support.checkout import ROOT
 from tests.support.distributions import installing
-from tests.support.places import ROOT
 from xpl.catalogue import AdapterCase
 from xpl.catalogue.convention import applying, convention_of_key, io_mistakes
 from xpl.convert import compile_interface
@@ -84,7 +84,7 @@ def test_the_schema_and_the_conversions_know_it() -> None:
 @pytest.mark.usefixtures("gamma")
 def test_the_search_names_it() -> None:
     """Left out of a block, it is the single change that explains the difference."""
-    rig = Rig(CASE)
+    rig = RecordedEpisodes(CASE)
     right, wrong = _block(2.2), _block(None)
     golden, given = rig.answers(right), rig.answers(wrong)
     spread = spreads(golden)

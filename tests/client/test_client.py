@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from tests.client.interop.relay import Relay
-from tests.support.outside.stand_in import standing_in
+from tests.support.outside.fake_server import fake_server
 from tests.support.peer import DEADLINE_S, Peer, wait_until
 from xpl import Client
 from xpl import _spec as spec
@@ -84,7 +84,7 @@ def relay() -> Iterator[Callable[[str], Relay]]:
 @pytest.fixture
 def stand_in() -> Iterator[StandIn]:
     with contextlib.ExitStack() as stack:
-        yield lambda answer: stack.enter_context(standing_in(answer))
+        yield lambda answer: stack.enter_context(fake_server(answer))
 
 
 def modern(frame: Frame, **answers: Any) -> Any:

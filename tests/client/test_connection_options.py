@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 
 from tests.support.outside.chaos import Fault, Proxy
+from tests.support.outside.fake_server import fake_server
 from tests.support.outside.raw import page
-from tests.support.outside.stand_in import standing_in
 from tests.support.peer import Peer, wait_until
 from xpl import Client, images
 from xpl import _spec as spec
@@ -348,7 +348,7 @@ def test_a_server_that_does_not_know_the_marker_gets_pixels() -> None:
         kind = frame.message_type
         return frame.answer(str(spec.ANSWERS[kind]), payloads[kind]) if kind in payloads else None
 
-    with standing_in(answer) as (url, requests), Client(url, jpeg={"cam_head": 50}) as client:
+    with fake_server(answer) as (url, requests), Client(url, jpeg={"cam_head": 50}) as client:
         client.infer(seen(7))
         observation = next(frame.payload["observation"] for frame in requests if frame.message_type == "infer")
         assert np.array_equal(observation["vision"]["cam_head"]["color"], picture(7))

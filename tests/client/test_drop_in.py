@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.outside.stand_in import standing_in
+from tests.support.outside.fake_server import fake_server
 from xpl import Client
 from xpl import _spec as spec
 from xpl.client import ClientError
@@ -51,7 +51,7 @@ def server() -> Iterator[Start]:
                     payload["server_instance_id"] = "i"
                 return frame.answer(spec.ANSWERS[frame.message_type], payload)
 
-            return stack.enter_context(standing_in(answer))[0], frames
+            return stack.enter_context(fake_server(answer))[0], frames
 
         yield start
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from xpl_cli.basics import parallel
 from xpl_cli.basics.progress import Progress
 from xpl_cli.data.conversion import job
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 @pytest.fixture(scope="session")
 def libero(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a file of LIBERO's form."""
-    return made.libero(tmp_path_factory.mktemp("sets") / "bowl_demo.hdf5")
+    return datasets.libero(tmp_path_factory.mktemp("sets") / "bowl_demo.hdf5")
 
 
 @pytest.fixture(scope="module")

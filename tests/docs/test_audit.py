@@ -13,8 +13,8 @@ import pytest
 import yaml
 
 from tests.support.adapters.rules import made_adapter
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl.manifest import Manifest
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.standard.validate import validate

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.evaluation.runs import plan
 from xpl_cli.main import app
 from xpl_cli.packages import package

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from tests.support import pages
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S, xpl
-from tests.support.places import ROOT
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.serving.launch import running_server

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.places import tracked
+from tests.support.checkout import tracked
 from xpl_cli.basics.extras import how_to_install
 
 FILES = ("README.md", "CONTRIBUTING.md", "action.yml")

@@ -14,7 +14,7 @@ import yaml
 from tests.support import pages
 from tests.support.adapters import parity
 from tests.support.adapters.model_io import observation
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.model_io import record
 from xpl_cli.packages import package
 
@@ -99,7 +99,7 @@ class Policy:
 
 def test_the_reference_of_the_page_can_be_recorded(tmp_path: Path) -> None:
     code = next(text for text in CODE if "def answers" in text)
-    folder = parity.made(tmp_path / "Foo", None, code=code)
+    folder = parity.write_adapter(tmp_path / "Foo", None, code=code)
     (folder / "authors").mkdir()
     (folder / "authors/policy.py").write_text(AUTHORS)
     done = record.record(package.load(folder), record.RecordOptions())

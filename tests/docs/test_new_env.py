@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.standard.validate import validate
 

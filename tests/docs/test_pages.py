@@ -16,9 +16,9 @@ import pytest
 import yaml
 
 from tests.support import pages
+from tests.support.checkout import ROOT, tracked
 from tests.support.peer import xpl
-from tests.support.places import ROOT, tracked
-from tests.support.told import Command, commands, fault
+from tests.support.quoted_commands import QuotedCommand, command_error, quoted_commands
 from xpl.assumptions import resolve_assumptions
 from xpl_cli.audit.rules import registry
 from xpl_cli.audit.rules.gates import Gate
@@ -76,8 +76,8 @@ def _where(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-def _harmless() -> list[Command]:
-    shown_commands = {command for path in TEXTS for command in commands(path) if command.exact}
+def _harmless() -> list[QuotedCommand]:
+    shown_commands = {command for path in TEXTS for command in quoted_commands(path) if command.exact}
     is_help = [command for command in shown_commands if "--help" in command.words]
     quick = [command for command in shown_commands if str(command).removeprefix("xpl ").startswith(HARMLESS)]
     return sorted({*is_help, *quick}, key=str)
@@ -96,8 +96,8 @@ def test_no_block_escapes() -> None:
 @pytest.mark.parametrize("path", TEXTS, ids=_where)
 def test_every_command_exists(path: Path) -> None:
     """Commands, options, arguments and chosen rules; those in sentences may lack arguments."""
-    shown_commands = commands(path)
-    assert [wrong for command in shown_commands if (wrong := fault(command))] == []
+    shown_commands = quoted_commands(path)
+    assert [wrong for command in shown_commands if (wrong := command_error(command))] == []
     for command in (command for command in shown_commands if command.exact and command.words[0] == "audit"):
         chosen = pages.parse(list(command.words)).params
         selected, ignored = (tuple(VALUES.get(name, name) for name in chosen[key]) for key in ("selected", "ignored"))
@@ -105,7 +105,7 @@ def test_every_command_exists(path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", _harmless(), ids=str)
-def test_a_harmless_command_runs(command: Command) -> None:
+def test_a_harmless_command_runs(command: QuotedCommand) -> None:
     done = xpl(*(VALUES.get(word, word) for word in command.words), cwd=ROOT)
     assert (done.returncode, bool(done.stdout)) == (ExitCode.CLEAN, True), done.stderr
 
@@ -205,4 +205,4 @@ def test_a_page_that_follows_from_nothing_is_named(tmp_path: Path) -> None:
     for folder in (compiler.REFERENCE, rules.FOLDER):
         (tmp_path / folder).mkdir(parents=True)
         (tmp_path / folder / "gone.md").touch()
-    assert compiler.left_over(tmp_path) == ["docs/reference/gone.md", "docs/rules/gone.md"]
+    assert compiler.obsolete_pages(tmp_path) == ["docs/reference/gone.md", "docs/rules/gone.md"]

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from tests.support import pages
-from tests.support.places import ROOT, copy
+from tests.support.checkout import ROOT, copy
 
 pytestmark = pytest.mark.slow
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.support import pages
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode
 
 PAGE = ROOT / "docs" / "tutorial-torch.md"

@@ -12,11 +12,11 @@ from typing import Any
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.outside.debug_client import LIMIT, DebugEnv, NeverEndsError, checkout
 from tests.support.peer import DEADLINE_S
-from tests.support.places import ROOT
 from xpl import rollout
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 from xpl_cli.packages import environments
 from xpl_cli.serving.launch import running_server
 from xpl_cli.standard import spec
@@ -24,7 +24,7 @@ from xpl_cli.standard import spec
 CHUNK = 4
 FUNCTIONS = tuple(spec.data("package")["loop"]["functions"])
 OURS = ROOT / "policy" / "demo_policy" / "deploy.py"
-THEIRS = room("templates") / "loop" / "deploy.py"
+THEIRS = content_folder("templates") / "loop" / "deploy.py"
 PUBLIC = checkout()
 
 

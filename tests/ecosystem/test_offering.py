@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl.ecosystem import scripts
 from xpl.ecosystem.offered import checkpoint_resolver, process_data
 from xpl.embodiment import embodiment_names, get_embodiment

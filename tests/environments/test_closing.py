@@ -16,8 +16,8 @@ from typing import Any
 import pytest
 
 from tests.support.adapters import drill
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S, wait_until
-from tests.support.places import ROOT
 from xpl.simulator.process import EnvRaisedError
 from xpl.simulator.terminal import TERMINAL, NoTerminalError
 from xpl.simulator.worker_pool import EnvTimeouts

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 from xpl_cli.basics.content import load_module
 
 ENV = ROOT / "envs" / "gymnasium"

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
 from tests.support.peer import wait_until
-from tests.support.places import ROOT
 from tests.support.recordings.runs import episode, planned
 from xpl import trajectory
 from xpl_cli.basics.errors import UserError

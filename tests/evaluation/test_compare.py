@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
-from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.evaluation.records import records
@@ -84,7 +84,9 @@ def test_a_repeated_run_is_recognised(tmp_path: Path) -> None:
 def test_infrastructure_errors_are_compared_as_failed_and_others_only_where_both_have_them(tmp_path: Path) -> None:
     """Seeds that one run lacks are left out and reported; an infrastructure error is no success."""
     foo = synthetic_run(tmp_path / "foo", **ONE, episodes=40, policy="Foo", rate=1.0, faults=Faults(infrastructure=0.2))
-    bar = synthetic_run(tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0))
+    bar = synthetic_run(
+        tmp_path / "bar", **ONE, episodes=30, policy="Bar", rate=1.0, first_seed=5, faults=Faults(policy=0)
+    )
     comparison = compared(foo, bar)
     errors = [line.seed for line in records.read(foo).finals.values() if line.failure == "infrastructure"]
     row = comparison["overall"]

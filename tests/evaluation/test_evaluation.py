@@ -14,8 +14,8 @@ import pytest
 
 from tests.support import commands
 from tests.support.adapters import drill
+from tests.support.checkout import ROOT
 from tests.support.peer import xpl
-from tests.support.places import ROOT
 from tests.support.recordings.runs import episode
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.runs import quick_eval

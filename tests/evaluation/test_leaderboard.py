@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
-from tests.support.places import ROOT
 from tests.support.recordings.runs import Faults, rewritten, synthetic_run
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.leaderboard import comparable_runs, export, ranking, ranking_text

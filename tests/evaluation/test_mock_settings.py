@@ -25,7 +25,9 @@ SAID = "by a mock"
 
 
 def _run(folder: Path, policy: str = "Foo", settings: tuple[str, ...] = (SETTING,)) -> records.Run:
-    return records.read(synthetic_run(folder / policy, tasks=("lift_cube",), settings=settings, episodes=4, policy=policy))
+    return records.read(
+        synthetic_run(folder / policy, tasks=("lift_cube",), settings=settings, episodes=4, policy=policy)
+    )
 
 
 def test_every_report_begins_with_the_remark(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from tests.support.recordings.runs import synthetic_run
 from tests.support.work import calls
 from xpl_cli.basics.errors import NotFoundError

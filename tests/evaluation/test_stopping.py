@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.evaluation.runs.stopping import FEWEST, episodes_needed, stopping_point
 from xpl_cli.evaluation.statistics.intervals import Interval, wilson
 

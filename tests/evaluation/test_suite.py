@@ -18,8 +18,8 @@ import pytest
 
 from tests.support import commands
 from tests.support.adapters import drill
+from tests.support.checkout import ROOT
 from tests.support.peer import MARK, processes, wait_until, xpl
-from tests.support.places import ROOT
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.evaluation.records import records
 from xpl_cli.evaluation.rollout.backend import BackendConfig

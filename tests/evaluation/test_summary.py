@@ -114,7 +114,9 @@ def test_a_task_with_nothing_but_infrastructure_errors_counts_as_failed(tmp_path
 
 def test_a_success_after_the_policys_process_died_is_not_counted(tmp_path: Path) -> None:
     """Dying in every attempt that goes wrong must not be a second chance."""
-    folder = synthetic_run(tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0))
+    folder = synthetic_run(
+        tmp_path / "run", ["lift_cube"], ["clean"], 20, rate=1.0, faults=Faults(policy=0.0, retried=0.0)
+    )
 
     def reviving(lines: list[Line]) -> list[Line]:
         head, *rest = lines

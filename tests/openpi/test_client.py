@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.outside.fake_server import fake_server
 from tests.support.outside.openpi import METADATA, policy_server
-from tests.support.outside.stand_in import standing_in
 from tests.support.peer import DEADLINE_S
 from xpl import AsyncClient, Client, get_embodiment
 from xpl.client import ClientError, NoOperationError, PolicyServerError, RequestTimeoutError, ServerConnectionError
@@ -236,7 +236,7 @@ def test_an_address_where_nothing_answers_is_told() -> None:
 def test_a_server_that_waits_for_hello_is_told_apart() -> None:
     """Once is enough: it would wait the next time, too."""
     with (
-        standing_in(lambda _: None) as (address, _),
+        fake_server(lambda _: None) as (address, _),
         pytest.raises(
             ServerConnectionError, match=r"sent nothing in time .*one of xpl waits for hello \(`wire: xpl`\)"
         ),

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.support.adapters.adopted import DEPLOY, FILES, written
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
 from tests.support.examples import examples
-from tests.support.places import ROOT
 from xpl_cli.adopt import package
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages import package as packages

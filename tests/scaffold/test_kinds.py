@@ -18,8 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support.adapters.model_io import observation
+from tests.support.checkout import ROOT
 from tests.support.commands import Ended, xpl
-from tests.support.places import ROOT
 from xpl import Client, get_embodiment
 from xpl import _spec as sdk
 from xpl.action import check_chunk

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.support.checkout import ROOT, tracked
 from tests.support.peer import xpl
-from tests.support.places import ROOT, tracked
 from xpl import _spec as spec
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.engine import engine
@@ -123,7 +123,7 @@ def test_what_keeps_an_environment_from_being_played_is_no_fault_of_its_own(
         assert said in str(result.reason)
     with monkeypatch.context() as patch:
         patch.setenv("PATH", str(tmp_path))
-        with pytest.raises(UserError, match="isolation was asked for, and bubblewrap"):
+        with pytest.raises(UserError, match="isolation was requested, but bubblewrap"):
             engine.audit(package, "env", AuditOptions(gates, names, isolate=True))
     broken = shutil.copytree(package, tmp_path / "Foo")
     (broken / "env.yml").write_text("name: Foo", encoding="utf-8")

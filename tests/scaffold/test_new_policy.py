@@ -20,8 +20,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.support import forked
+from tests.support.checkout import ROOT, tracked
 from tests.support.peer import DEADLINE_S
-from tests.support.places import ROOT, tracked
 from xpl.action import check_chunk
 from xpl.embodiment import embodiment_names, get_embodiment
 from xpl_cli.basics import atomic, content

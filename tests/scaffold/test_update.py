@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.checkout import copy
 from tests.support.commands import Ended, xpl
-from tests.support.places import copy
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Outcome

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.places import ROOT, copy, tracked
+from tests.support.checkout import ROOT, copy, tracked
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

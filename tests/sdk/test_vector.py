@@ -18,9 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.support.checkout import ROOT
 from tests.support.examples import examples
 from tests.support.peer import MARK, processes, wait_until
-from tests.support.places import ROOT
 from xpl.action import ActionError
 from xpl.process.modules import load_module
 from xpl.rollout import run_batch

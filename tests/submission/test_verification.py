@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from tests.support import forked
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from tests.support.recordings.bundles import recorded
 from tests.support.recordings.runs import renamed
 from xpl_cli.audit.engine.engine import audit

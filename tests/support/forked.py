@@ -24,7 +24,7 @@ from typing import Any, Final, NoReturn
 from unittest import mock
 
 import xpl_cli
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.serving import fork_server
 
 _START: Final = (

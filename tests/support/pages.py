@@ -13,7 +13,7 @@ from typing import Any
 
 import typer
 
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 from xpl_cli.derived import commands, compiler, rules
 from xpl_cli.main import app
 

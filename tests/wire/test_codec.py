@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from tests.support.checkout import ROOT
 from tests.support.examples import examples
-from tests.support.places import ROOT
 from tests.wire.messages import looped, peak, same
 from xpl import _spec as spec
 from xpl.wire import arrays, codec, packed

@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 import yaml
 
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
-from tests.support.places import ROOT
-from tests.support.recordings.runs import Faults, synthetic
+from tests.support.recordings.runs import Faults, synthetic_run
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import Finding, GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.audit.rules.verdict import verdict_of
@@ -146,7 +146,7 @@ def test_parity_and_a_recorded_run_carry_further() -> None:
 def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """One of other files, or that is not finished, is refused with one sentence."""
     adapter = prove.adapter_in(policies.find("demo_policy"), ROOT)
-    run = synthetic(tmp_path / "run", episodes=3, faults=Faults(0.0, 0.0, 0.0))
+    run = synthetic_run(tmp_path / "run", episodes=3, faults=Faults(0.0, 0.0, 0.0))
     with pytest.raises(UserError, match="other files"):
         prove._recorded_run(adapter, run)
     plan = records.read(run).plan
@@ -154,7 +154,7 @@ def test_a_run_counts_that_is_of_this_adapter_s_weights(tmp_path: Path, monkeypa
     told = prove._recorded_run(adapter, run)
     assert (told["environment"], told["episodes"]) == (plan.environment.name, 12)
     assert 0 <= told["successes"] <= 12
-    part = synthetic(tmp_path / "part", episodes=3, played=5)
+    part = synthetic_run(tmp_path / "part", episodes=3, played=5)
     with pytest.raises(UserError, match="not finished"):
         prove._recorded_run(adapter, part)
 

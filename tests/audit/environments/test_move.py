@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.checkout import tracked
 from tests.support.peer import xpl
-from tests.support.places import tracked
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.packages import environments
 from xpl_cli.scaffold import adapter, environment

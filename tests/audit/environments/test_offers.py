@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.audit.environments.env_probe import EnvProbe
 from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.basics.progress import Progress

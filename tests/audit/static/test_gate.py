@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.support.adapters.rules import made_adapter
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome

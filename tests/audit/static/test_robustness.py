@@ -18,8 +18,8 @@ from xml.etree import ElementTree as ET
 import pytest
 
 from tests.support.adapters.rules import made_adapter
+from tests.support.checkout import ROOT
 from tests.support.peer import DEADLINE_S
-from tests.support.places import ROOT
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.rules.gates import Gate

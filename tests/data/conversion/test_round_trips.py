@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from xpl import get_embodiment, trajectory
 from xpl.convert.frames import PoseFrame
 from xpl_cli.basics import parallel
@@ -96,7 +96,7 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
     source = open_set(libero)[0]
     fingers = source.read("obs/gripper_states")
     np.testing.assert_allclose(episode.read("state/ee_joint_states")[:, 0], fingers[:, 0] / 0.04)
-    np.testing.assert_array_equal(next(episode.frames("vision/cam_head/colors")), made.picture(0))
+    np.testing.assert_array_equal(next(episode.frames("vision/cam_head/colors")), datasets.picture(0))
     assert {"action/ee_poses", "action/ee_joint_states", "dones"} <= set(episode.columns)
     tool = PoseFrame(get_embodiment("panda_libero"), "single", "tcp", "world")
     moved = tool.encode(episode.read("action/ee_poses"))[:, :3] - tool.encode(episode.read("state/ee_poses"))[:, :3]
@@ -104,7 +104,7 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
     converted(tmp_path / "xpl", tmp_path / "back", "lerobot-v3.0", by="libero", images="png")
     back = open_set(tmp_path / "back")[0]
     assert set(back.columns) == {name.replace("/", ".") for name in source.columns} | set(layout.DEFAULTS)
-    for name, rows in made.numbers(source).items():
+    for name, rows in datasets.numbers(source).items():
         there = back.read(name.replace("/", ".")).reshape(rows.shape)
         np.testing.assert_allclose(there, rows, atol=1e-12, err_msg=name)
     for name in source.cameras:
@@ -114,20 +114,20 @@ def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, 
 
 def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, converted: Converted) -> None:
     """Red is red again, the action is the next state, and all sentences and matrices stay."""
-    source = made.robotwin(tmp_path / "robotwin")
+    source = datasets.robotwin(tmp_path / "robotwin")
     converted(source, tmp_path / "xpl", "xpl", by="robotwin", rate_hz=25.0)
     episode = open_set(tmp_path / "xpl")[0]
-    assert image_codec.psnr(next(episode.frames("vision/cam_head/colors")), made.picture(0)) > LOSSY_DB
+    assert image_codec.psnr(next(episode.frames("vision/cam_head/colors")), datasets.picture(0)) > LOSSY_DB
     np.testing.assert_array_equal(
         episode.read("action/left_arm_joint_states")[:-1], episode.read("state/left_arm_joint_states")[1:]
     )
     assert episode.instructions == ("stack them", "pile them up", "build a tower")
     converted(tmp_path / "xpl", tmp_path / "back", "lerobot-v3.0", by="robotwin", images="png")
     back = open_set(tmp_path / "back")[0]
-    for name, rows in made.numbers(open_set(source)[0]).items():
+    for name, rows in datasets.numbers(open_set(source)[0]).items():
         there = back.read(name.replace("/", ".")).reshape(rows.shape)
         np.testing.assert_array_equal(there, rows, err_msg=name)
-    assert image_codec.psnr(next(back.frames("observation.head_camera.rgb")), made.picture(0)[..., ::-1]) > LOSSY_DB
+    assert image_codec.psnr(next(back.frames("observation.head_camera.rgb")), datasets.picture(0)[..., ::-1]) > LOSSY_DB
 
 
 def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_it(
@@ -141,20 +141,20 @@ def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_i
     assert columns["action"].shape == (8,)
     converted(tmp_path / "lerobot", tmp_path / "back", "xpl")
     for index in range(3):
-        made.same(open_set(tmp_path / "xpl")[index], open_set(tmp_path / "back")[index])
+        datasets.same(open_set(tmp_path / "xpl")[index], open_set(tmp_path / "back")[index])
 
 
 def test_videos_are_copied_and_not_encoded_again(
     in_lerobot: tuple[Path, ConversionReport], tmp_path: Path, converted: Converted
 ) -> None:
     """Within v3.0, and from v2.1, pixels are the same, whatever file an episode lies in."""
-    for source in (in_lerobot[0], made.lerobot_v21(tmp_path / "older")):
+    for source in (in_lerobot[0], datasets.lerobot_v21(tmp_path / "older")):
         target = tmp_path / f"{source.name} again"
         assert not converted(source, target, "lerobot-v3.0", file_mb=0.001).lossy
         before, after = open_set(source), open_set(target)
         assert len(list(target.rglob("*.mp4"))) == len(before) * len(before[0].cameras)
         for index in range(len(before)):
-            made.same(before[index], after[index])
+            datasets.same(before[index], after[index])
             assert worst(before[index], after[index]) == EXACT
 
 
@@ -173,7 +173,7 @@ def test_a_run_that_ended_goes_on(
     assert not (tmp_path / "set").exists()
     assert converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264", crf=18).resumed == 2
     assert [entry.name for entry in tmp_path.iterdir()] == ["set"]
-    made.same(open_set(tmp_path / "set")[2], open_set(in_lerobot[0])[2])
+    datasets.same(open_set(tmp_path / "set")[2], open_set(in_lerobot[0])[2])
 
 
 def _ended_after_two(each: Any, things: Any) -> Any:
@@ -184,7 +184,7 @@ def _ended_after_two(each: Any, things: Any) -> Any:
 
 def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, converted: Converted) -> None:
     """One sentence for each, and nothing is left: no rate, other images, a target that is there, a read-only format."""
-    source = made.robotwin(tmp_path / "robotwin")
+    source = datasets.robotwin(tmp_path / "robotwin")
     for to, sentence in (("lerobot-v3.0", "steps per second"), ("xpl", "state/ and action/")):
         with pytest.raises(DataError, match=sentence):
             converted(source, tmp_path / "set", to)
@@ -221,6 +221,6 @@ def test_what_a_simulator_told_is_one_vector_of_lerobot_and_what_it_was_after_it
     told = DatasetSummary.of(open_set(tmp_path / "there")).as_json()["privileged"]
     assert told == {"recorded": ["cube/pose", "height", "held"], "left_out": {"task": "is no array of numbers"}}
     converted(tmp_path / "there", tmp_path / "back", "xpl")
-    made.same(open_set(tmp_path / "xpl")[0], open_set(tmp_path / "back")[0])
+    datasets.same(open_set(tmp_path / "xpl")[0], open_set(tmp_path / "back")[0])
     shown = trajectory.open_folder(tmp_path / "back")[0].observation(3)["privileged"]
     assert (shown["cube"]["pose"].tolist(), shown["height"]) == ((np.arange(7.0) * 3).tolist(), 1.5)

@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 import pytest
 import zarr
 
-from tests.data import made
+from tests.data import datasets
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.formats import image_codec
 from xpl_cli.data.reading import open_set
@@ -36,10 +36,10 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 
 def test_aloha(tmp_path: Path) -> None:
     """Numbers, raw images and padded JPEGs, the rate and the sentence of attributes."""
-    qpos, action, frames = made.aloha(tmp_path / "episode_0.hdf5")
+    qpos, action, frames = datasets.aloha(tmp_path / "episode_0.hdf5")
     found = open_set(tmp_path)
     (episode,) = (found[index] for index in range(len(found)))
-    assert (found.format, found.rate_hz, episode.instructions) == ("aloha", 50.0, (made.SENTENCE,))
+    assert (found.format, found.rate_hz, episode.instructions) == ("aloha", 50.0, (datasets.SENTENCE,))
     np.testing.assert_array_equal(episode.read("observations/qpos"), qpos)
     np.testing.assert_array_equal(episode.read("action", 1, 3), action[1:3])
     np.testing.assert_array_equal(list(episode.frames("observations/images/top")), frames)
@@ -50,7 +50,7 @@ def test_aloha(tmp_path: Path) -> None:
 
 def test_robomimic(tmp_path: Path) -> None:
     """Numbers and images of each demonstration, the sentence, the robot and the rate of attributes."""
-    path = made.libero(tmp_path / "bowl_demo.hdf5")
+    path = datasets.libero(tmp_path / "bowl_demo.hdf5")
     found = open_set(path)
     assert (found.format, found.rate_hz, found.robot, len(found)) == ("robomimic", 20.0, "Panda", 3)
     for index in range(3):
@@ -58,14 +58,14 @@ def test_robomimic(tmp_path: Path) -> None:
         with h5py.File(path) as file:
             group = file[f"data/demo_{index}"]
             actions, images = group["actions"][:], group["obs/agentview_rgb"][:]
-        assert episode.instructions == (made.SENTENCE,)
+        assert episode.instructions == (datasets.SENTENCE,)
         np.testing.assert_array_equal(episode.read("actions"), actions)
         np.testing.assert_array_equal(list(episode.frames("obs/agentview_rgb")), images)
 
 
 def test_robotwin(tmp_path: Path) -> None:
     """Numbers, matrices of a camera, JPEGs as they lie there, and sentences of the file beside."""
-    made.robotwin(tmp_path)
+    datasets.robotwin(tmp_path)
     episode = open_set(tmp_path)[0]
     with h5py.File(tmp_path / "data" / "episode0.hdf5") as file:
         vector = file["joint_action/vector"][:]
@@ -74,14 +74,14 @@ def test_robotwin(tmp_path: Path) -> None:
     assert camera.intrinsics is not None
     assert camera.intrinsics.shape == (6, 3, 3)
     first = next(episode.frames("observation/head_camera/rgb"))
-    assert image_codec.psnr(first, made.picture(0)[..., ::-1]) > LOSSY_DB
+    assert image_codec.psnr(first, datasets.picture(0)[..., ::-1]) > LOSSY_DB
     assert len(episode.instructions) == 3
 
 
 @pytest.mark.parametrize("packed", [False, True])
 def test_diffusion_policy(tmp_path: Path, packed: bool) -> None:
     """Rows between the ends of episodes, from a folder or a ZIP file; images of floats are those of Push-T."""
-    action, images = made.diffusion_policy(tmp_path / "replay.zarr")
+    action, images = datasets.diffusion_policy(tmp_path / "replay.zarr")
     path = tmp_path / "replay.zarr"
     if packed:
         path = Path(shutil.make_archive(str(tmp_path / "replay.zarr"), "zip", path))
@@ -97,7 +97,7 @@ def test_diffusion_policy(tmp_path: Path, packed: bool) -> None:
 
 def test_lerobot_v21(tmp_path: Path) -> None:
     """Numbers of tables, frames of videos, lists of JSON lines."""
-    made.lerobot_v21(tmp_path)
+    datasets.lerobot_v21(tmp_path)
     found = open_set(tmp_path)
     assert (found.format, found.rate_hz, found.robot, len(found)) == ("lerobot-v2.1", 10.0, "panda", 3)
     for index in range(3):
@@ -105,19 +105,19 @@ def test_lerobot_v21(tmp_path: Path) -> None:
         table = pq.read_table(tmp_path / "data/chunk-000" / f"episode_{index:06d}.parquet")
         np.testing.assert_array_equal(episode.read("action"), table["action"].to_pylist())
         np.testing.assert_array_equal(episode.read("task_index"), table["task_index"])
-        assert episode.instructions == (made.SENTENCE,)
+        assert episode.instructions == (datasets.SENTENCE,)
         for step, frame in enumerate(episode.frames("observation.images.top")):
-            assert image_codec.psnr(frame, made.picture(step)) > LOSSY_DB
+            assert image_codec.psnr(frame, datasets.picture(step)) > LOSSY_DB
 
 
 def test_lerobot_v30(tmp_path: Path) -> None:
     """Two episodes in one table and one video: each gets its own rows, frames and images, with the names of numbers."""
-    actions, frames = made.lerobot_v30(tmp_path)
+    actions, frames = datasets.lerobot_v30(tmp_path)
     found = open_set(tmp_path)
     assert (found.format, found.rate_hz, len(found)) == ("lerobot-v3.0", 10.0, 2)
     for index, part in enumerate((slice(0, 4), slice(4, 10))):
         episode = found[index]
-        assert (episode.length, episode.instructions) == (part.stop - part.start, (made.SENTENCE,))
+        assert (episode.length, episode.instructions) == (part.stop - part.start, (datasets.SENTENCE,))
         assert episode.columns["action"].names[-1] == "joint_6"
         np.testing.assert_array_equal(episode.read("action"), actions[part])
         np.testing.assert_array_equal(list(episode.frames("observation.images.wrist")), frames[part])
@@ -132,7 +132,7 @@ def _everything(path: Path) -> None:
     found = open_set(path)
     for index in range(len(found)):
         found[index].instructions  # noqa: B018 - asking is what is tested
-        made.numbers(found[index])
+        datasets.numbers(found[index])
         for name in found[index].cameras:
             list(found[index].frames(name))
 
@@ -231,13 +231,13 @@ def _bomb(folder: Path) -> None:
 
 LINKS = (None, h5py.SoftLink("/elsewhere"))
 MAKERS: dict[str, Callable[[Path], Any]] = {
-    "robomimic": lambda folder: made.libero(folder / "set.hdf5"),
-    "aloha": lambda folder: made.aloha(folder / "set.hdf5"),
-    "robotwin": made.robotwin,
-    "xpl": lambda folder: made.standard(folder / "set.hdf5"),
-    "zarr": made.diffusion_policy,
-    "lerobot": made.lerobot_v21,
-    "lerobot v3.0": made.lerobot_v30,
+    "robomimic": lambda folder: datasets.libero(folder / "set.hdf5"),
+    "aloha": lambda folder: datasets.aloha(folder / "set.hdf5"),
+    "robotwin": datasets.robotwin,
+    "xpl": lambda folder: datasets.standard(folder / "set.hdf5"),
+    "zarr": datasets.diffusion_policy,
+    "lerobot": datasets.lerobot_v21,
+    "lerobot v3.0": datasets.lerobot_v30,
 }
 
 
@@ -271,8 +271,8 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         ("robotwin", _truncated("instructions/episode0.json"), ("episode0.json", "JSON")),
         ("robomimic", _without("set.hdf5", "data/demo_1/actions"), ("set.hdf5, demo_1", "actions or states")),
         ("robotwin", _without("data/episode0.hdf5", "joint_action/vector"), ()),
-        ("xpl", _without("set.hdf5", "state"), ("set.hdf5", "no known kind", "action")),
-        ("aloha", _without("set.hdf5", "action"), ("set.hdf5", "no known kind", "observations")),
+        ("xpl", _without("set.hdf5", "state"), ("set.hdf5", "unknown format", "action")),
+        ("aloha", _without("set.hdf5", "action"), ("set.hdf5", "unknown format", "observations")),
         ("lerobot", _truncated("meta/info.json"), ("info.json", "JSON")),
         ("lerobot", _info(fps=None), ("info.json", "fps")),
         ("lerobot", _info(features=None), ("info.json", "features")),
@@ -299,7 +299,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
         ("lerobot v3.0", _truncated("data/chunk-000/file-000.parquet"), ("data/chunk-000/file-000.parquet",)),
         ("lerobot v3.0", lambda folder: shutil.rmtree(folder / "videos"), ("no video", "file-000.mp4")),
         ("zarr", _unended, ("episode_ends",)),
-        ("zarr", _falling, ("episode_ends", "does not rise")),
+        ("zarr", _falling, ("episode_ends", "non-decreasing")),
         ("zarr", _short, ("action has 3 of the rows 4 to 9",)),
         ("zarr", lambda folder: (folder / "data" / "img" / ".zarray").write_text("{"), ("zarr",)),
     ],

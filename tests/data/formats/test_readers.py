@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def test_a_part_of_an_episode_is_the_same_part_of_all_of_it(tmp_path: Path) -> None:
     """Rows and frames by start and stop, from a video and from a table, are those of the whole."""
-    made.lerobot_v30(tmp_path)
+    datasets.lerobot_v30(tmp_path)
     episode = open_set(tmp_path)[1]
     np.testing.assert_array_equal(episode.read("action", 2, 5), episode.read("action")[2:5])
     for camera in episode.cameras:
@@ -31,7 +31,7 @@ def test_a_part_of_an_episode_is_the_same_part_of_all_of_it(tmp_path: Path) -> N
 def test_a_folder_of_tasks_is_one_set(tmp_path: Path) -> None:
     """Episodes of all files have keys of their own, in the order in which people count."""
     for name in ("bowl", "plate"):
-        made.libero(tmp_path / f"{name}_demo.hdf5", episodes=2)
+        datasets.libero(tmp_path / f"{name}_demo.hdf5", episodes=2)
     found = open_set(tmp_path)
     assert [found[index].key for index in range(len(found))] == [
         f"{name}_demo/demo_{index}" for name in ("bowl", "plate") for index in range(2)
@@ -40,7 +40,7 @@ def test_a_folder_of_tasks_is_one_set(tmp_path: Path) -> None:
 
 def test_jpegs_without_a_mark_are_rgb_in_the_standards_form_alone(tmp_path: Path) -> None:
     """A file of RoboDojo is read in true colours; any other format gives what its files hold."""
-    rows = [made.jpeg(made.picture(step)[..., ::-1]) for step in range(3)]
+    rows = [datasets.jpeg(datasets.picture(step)[..., ::-1]) for step in range(3)]
     with h5py.File(tmp_path / "episode.hdf5", "w") as file:
         file["state/left_arm_joint_states"] = np.zeros((3, 6))
         file["action/left_arm_joint_states"] = np.zeros((3, 6))

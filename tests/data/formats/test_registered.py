@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.data import made
+from tests.data import datasets
 from tests.support.distributions import Install, installing
 from xpl.registry import EntryPointError
 from xpl_cli.basics import formats
@@ -40,7 +40,7 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install
 def demos(tmp_path: Path) -> Path:
     """Return a folder of the standard's form."""
     (tmp_path / "demos").mkdir()
-    made.standard(tmp_path / "demos" / "episode.hdf5")
+    datasets.standard(tmp_path / "demos" / "episode.hdf5")
     return tmp_path / "demos"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from tests.data.formats import rlds_driver
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl_cli.data.formats import image_codec
 from xpl_cli.data.reading import open_set
 

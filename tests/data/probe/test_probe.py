@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import yaml
 
-from tests.data.probe.truth import judge
-from tests.data.probe.written import LAST, NEW, ONE, TUNED
+from tests.data.probe.expected import judge
+from tests.data.probe.probe_datasets import LAST, NEW, ONE, TUNED
 from tests.support.recordings.demonstrations import Convention, MemorySet, write
 from tests.support.recordings.motion import Motion, motion
 from xpl_cli.data.probe import draft, page

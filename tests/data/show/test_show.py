@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PIL import Image
 
-from tests.data import made
+from tests.data import datasets
 from xpl_cli import main
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ def test_a_page_holds_frames_and_curves_and_reaches_nothing(libero: Path, tmp_pa
     """Every camera and column is on it, pictures are inside, and its policy allows no network."""
     assert main.main(["data", "show", str(libero), "--episode", "demo_1", "-o", str(tmp_path / "page.html")]) == 0
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    for word in ("demo_1", made.SENTENCE, "obs/agentview_rgb", "obs/ee_states", "default-src &#39;none&#39;"):
+    for word in ("demo_1", datasets.SENTENCE, "obs/agentview_rgb", "obs/ee_states", "default-src &#39;none&#39;"):
         assert word in page
     assert page.count("data:image/jpeg;base64,") == 16
     assert "http" not in page.replace("http-equiv", "")
@@ -35,7 +35,7 @@ def test_a_sheet_shows_the_pictures_of_the_file(
     assert main.main(command) == 0
     assert json.loads(capsys.readouterr().out)["files"] == [str(tmp_path / "sheet.png")]
     sheet = np.asarray(Image.open(io.BytesIO((tmp_path / "sheet.png").read_bytes())))
-    wanted = made.picture(0)[::-1][5, 40]
+    wanted = datasets.picture(0)[::-1][5, 40]
     assert (np.abs(sheet.astype(int) - wanted).sum(-1) == 0).any()
 
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl import Client, get_embodiment
 from xpl.action import ActionError
 from xpl_cli.basics.content import load_module

@@ -19,8 +19,8 @@ import numpy as np
 import pytest
 import yaml
 
+from tests.support.checkout import ROOT
 from tests.support.commands import xpl
-from tests.support.places import ROOT
 from xpl import Client, get_embodiment, rotation
 from xpl.action import ActionError, pack
 from xpl.client import RequestTimeoutError

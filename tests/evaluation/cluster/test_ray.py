@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Self
 import pytest
 
 from tests.client.interop import build
-from tests.support import places
+from tests.support import checkout
 from tests.support.peer import MARK, processes, wait_until
 from xpl.vector import INFRASTRUCTURE
 from xpl_cli.basics.errors import ExitCode
@@ -209,7 +209,7 @@ def test_policy_servers_with_a_gpu_are_apart_and_move_to_another_node(tmp_path: 
 
 def test_a_run_waits_for_room_and_refuses_other_files_there(tmp_path: Path) -> None:
     """The cluster has no processor at first; when one comes, the adapter's files on its machine are not the run's."""
-    policy = places.copy(tmp_path, "policy/scripted_expert/**") / "policy/scripted_expert"
+    policy = checkout.copy(tmp_path, "policy/scripted_expert/**") / "policy/scripted_expert"
     with Cluster({"num_cpus": 0}, {"num_cpus": 1}) as cluster:
         cluster.tell("kill")
         options = (*PLAYED, "--backend", "ray", "--out", str(tmp_path / "run"))

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from tests.support.checkout import ROOT
 from tests.support.commands import problem, xpl
-from tests.support.places import ROOT
 from xpl.manifest import EnvManifest
 from xpl_cli.basics.errors import UserError
 from xpl_cli.evaluation.hand_over import results

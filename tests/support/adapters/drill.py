@@ -8,7 +8,7 @@ import textwrap
 from pathlib import Path
 from typing import Any
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 STEPS = 6
 WINS = frozenset({0, 1, 3, 4, 6, 7, 9, 10})

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from tests.support.places import copy
+from tests.support.checkout import copy
 
 if TYPE_CHECKING:
     from pathlib import Path

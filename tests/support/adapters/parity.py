@@ -157,7 +157,7 @@ def manifest(name: str, model_io: dict[str, Any] | None, **changes: Any) -> dict
     return told if model_io is None else {**told, "model_io": model_io}
 
 
-def made(
+def write_adapter(
     folder: Path,
     model_io: dict[str, Any] | None = BLOCK,
     *,

@@ -22,7 +22,7 @@ TEXTS = ("  Pick the Red cup. ", "fold IT.", "open both drawers ", "Stack the bl
 _WEIGHTS: dict[Any, np.ndarray] = {}
 
 
-class Network:
+class FixedNetwork:
     """A fixed function that every number, pixel and letter has a part in.
 
     Args:
@@ -56,7 +56,7 @@ class Network:
         return _WEIGHTS[key]
 
 
-class Converted(Policy):
+class BlockPolicy(Policy):
     """A policy whose conversions are those of its block."""
 
     def load(self, config: Mapping[str, Any]) -> None:
@@ -68,7 +68,7 @@ class Converted(Policy):
         return [self.network({name: values[place] for name, values in inputs.items()}) for place in range(len(envs))]
 
 
-class Rig:
+class RecordedEpisodes:
     """Episodes of a case, and what a block makes of them.
 
     Args:
@@ -80,7 +80,7 @@ class Rig:
         rng = np.random.default_rng(5)
         state, near = (fields(case.robot, rng, joints=True) for _ in range(2))
         interface = compile_interface(case.model_io, case.embodiment, case.action_type)
-        self.network = Network(interface.action.encode([self._moved(near, rng) for _ in range(STEPS)], state, {}))
+        self.network = FixedNetwork(interface.action.encode([self._moved(near, rng) for _ in range(STEPS)], state, {}))
         self.episodes = [
             [
                 (env, observation(case.robot, 10 * number + place, instruction=TEXTS[(number + place) % len(TEXTS)]))
@@ -92,7 +92,7 @@ class Rig:
     def answers(self, model_io: Mapping[str, Any]) -> list[Any]:
         """Return the answers of the network behind a block, question by question."""
         case = self.case
-        model = Converted(
+        model = BlockPolicy(
             {
                 "env_cfg_type": case.robot,
                 "action_type": case.action_type,

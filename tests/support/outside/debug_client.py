@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 from xpl.embodiment import get_embodiment
 
 LIMIT = 5

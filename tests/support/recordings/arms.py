@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl import get_embodiment, poses
 from xpl.conventions import frame as frames
-from xpl.convert.parts import part
+from xpl.convert.parts import make_part
 from xpl.kinematics import Chain
 
 if TYPE_CHECKING:
@@ -43,5 +43,5 @@ def moments(
 
 def rows(parts: list[dict[str, Any]], robot: str, states: list[dict[str, np.ndarray]]) -> np.ndarray:
     """Return the states as rows (N, width) of a vector with these parts."""
-    made = [part(entry, get_embodiment(robot)) for entry in parts]
+    made = [make_part(entry, get_embodiment(robot)) for entry in parts]
     return np.stack([np.concatenate([item.read(state) for item in made]) for state in states])

@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from tests.support.places import ROOT
-from tests.support.recordings.runs import Faults, renamed, synthetic
+from tests.support.checkout import ROOT
+from tests.support.recordings.runs import Faults, renamed, synthetic_run
 from xpl_cli.environments import check
 from xpl_cli.evaluation.records import fingerprints, records
 from xpl_cli.packages import environments, package
@@ -20,7 +20,7 @@ ADAPTER = ROOT / "policy" / "scripted_expert"
 _INTERPRETER: dict[str, Any] = {"python": "3.11.7", "installed": {}, "lock": None}
 
 
-def made(folder: Path) -> dict[str, bytes]:
+def write_bundle(folder: Path) -> dict[str, bytes]:
     """Return the files of a bundle but for its manifest, which `archived` makes of them.
 
     Args:
@@ -60,7 +60,7 @@ def recorded(folder: Path) -> records.Run:
     faults = Faults(policy=0.0, retried=0.0)
     first = check.seeds(environments.find("mujoco"), "lift_cube", "clean")[0]
     told: dict[str, Any] = {"episodes": 2, "rate": 1.0, "policy": ADAPTER.name, "faults": faults, "first_seed": first}
-    synthetic(folder, ("lift_cube",), ("clean",), **told)
+    synthetic_run(folder, ("lift_cube",), ("clean",), **told)
     file = folder / records.FILE
     plan, *others = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
     adapter = package.load(ADAPTER)

@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import get_embodiment
 from xpl.conventions import rotation as rotations
-from xpl.convert.frames import Frame
+from xpl.convert.frames import PoseFrame
 from xpl.rotation import conjugate, multiply, rotate
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
 
@@ -199,7 +199,7 @@ def _arm(motion: Motion, side: str, how: Convention, role: str) -> dict[str, np.
         else (motion.commands, motion.grip, motion.targets)
     )
     robot = get_embodiment(motion.robot)
-    pose = Frame(robot, side, how.point, how.frame).encode(flange[side])
+    pose = PoseFrame(robot, side, how.point, how.frame).encode(flange[side])
     grip = np.asarray(opening[side], np.float64)[:, None]
     return {
         "joints": joints[side].astype(np.float64),

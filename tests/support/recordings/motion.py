@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import get_embodiment
 from xpl.kinematics import Chain
-from xpl_cli.basics.content import load_module, room
+from xpl_cli.basics.content import content_folder, load_module
 
 CAMERAS = ("cam_head", "cam_wrist", "cam_left_wrist", "cam_right_wrist")
 RATE = 25.0
@@ -49,8 +49,8 @@ class Motion:
 @cache
 def motion(task: str, robot: str, seed: int, *, cameras: bool = False, most: int = 400) -> Motion:
     """Let the expert play an episode in this process, and return what happened."""
-    expert = load_module(room("policy") / "scripted_expert" / "model.py").Model
-    make = load_module(room("envs") / "mujoco" / "client.py").make
+    expert = load_module(content_folder("policy") / "scripted_expert" / "model.py").Model
+    make = load_module(content_folder("envs") / "mujoco" / "client.py").make
     config: dict[str, Any] = {"task": task, "embodiment": robot, "cameras": cameras, "privileged": True}
     env, policy = make(config), expert({"env_cfg_type": robot, "action_type": "joint"})
     embodiment = get_embodiment(robot)

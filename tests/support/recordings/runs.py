@@ -35,7 +35,7 @@ class Faults:
     retried: float = 0.01
 
 
-def synthetic(  # noqa: PLR0917 - what most tests vary
+def synthetic_run(  # noqa: PLR0917 - what most tests vary
     folder: Path,
     tasks: Sequence[str] = ("lift_cube", "stack_cubes"),
     settings: Sequence[str] = ("clean", "randomized"),

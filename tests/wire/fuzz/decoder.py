@@ -11,7 +11,7 @@ import sys
 from collections.abc import Callable, Iterator
 from unittest import mock
 
-from tests.support.places import ROOT
+from tests.support.checkout import ROOT
 
 
 def read_frame(data: bytes) -> None:

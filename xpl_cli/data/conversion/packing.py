@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.trajectory.names import TRUTH, is_truth, shown
+from xpl.trajectory.names import GROUND_TRUTH, is_ground_truth, observation_path
 from xpl_cli.basics.errors import ExitCode
 from xpl_cli.data.conversion.standard import NAME as STANDARD
 from xpl_cli.data.formats.writing import CONVERTED
@@ -41,7 +41,7 @@ def layout_of(episode: RecordedEpisode) -> Layout:
     """
     groups = {STATE: spec.Trajectory.STATE, ACTION: spec.Trajectory.ACTION}
     layout = {name: _series(episode.columns, group) for name, group in groups.items()}
-    truth = {name: column for name, column in episode.columns.items() if is_truth(tuple(name.split("/")))}
+    truth = {name: column for name, column in episode.columns.items() if is_ground_truth(tuple(name.split("/")))}
     layout[ENVIRONMENT] = [
         (name, column.shape[0] if column.shape else 1)
         for name, column in truth.items()
@@ -192,7 +192,9 @@ class _Unpacked(DelegatingEpisode):
 def _series(columns: Mapping[str, ColumnInfo], group: str) -> list[tuple[str, int]]:
     series = []
     for prefix in _PREFIXES:
-        by_key = {shown(tuple(name.split("/")))[-1]: name for name in columns if name.startswith(f"{group}/")}
+        by_key = {
+            observation_path(tuple(name.split("/")))[-1]: name for name in columns if name.startswith(f"{group}/")
+        }
         motion = next((prefix + key for key in _MOTION if prefix + key in by_key), None)
         for key in (motion, prefix + spec.State.EE_JOINT_STATE):
             name = by_key.get(key or "")
@@ -203,5 +205,5 @@ def _series(columns: Mapping[str, ColumnInfo], group: str) -> list[tuple[str, in
 
 def _entries(part: str, width: int) -> list[str]:
     path = tuple(part.split("/"))
-    key = ".".join(path[len(TRUTH) :]) if is_truth(path) else shown(path)[-1]
+    key = ".".join(path[len(GROUND_TRUTH) :]) if is_ground_truth(path) else observation_path(path)[-1]
     return [key] if width == 1 else [f"{key}_{index}" for index in range(width)]

@@ -11,7 +11,7 @@ import numpy as np
 from xpl import _spec as spec
 from xpl.convert.assembly import assemble
 from xpl.errors import ConversionError
-from xpl.trajectory.names import stored
+from xpl.trajectory.names import stored_path
 from xpl_cli.data.sets.delegating import DelegatingEpisode, DelegatingSet
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo
@@ -136,7 +136,7 @@ class StandardizedEpisode(_MappedEpisode):
         """The dataset's camera of each standard camera name; of two candidates the first that exists."""
         sources: dict[str, str] = {}
         for source, how in self._mapping.images.items():
-            name = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
+            name = "/".join(stored_path((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
             if source in self._inner.cameras and name not in sources:
                 sources[name] = source
         return sources
@@ -154,8 +154,8 @@ class StandardizedEpisode(_MappedEpisode):
             action = self._action(state, where)
         except ConversionError as error:
             raise DataError(f"{where}: {error}") from None
-        rows = {"/".join(stored((spec.Trajectory.STATE, key))): values for key, values in state.items()}
-        rows |= {"/".join(stored((spec.Trajectory.ACTION, key))): values for key, values in action.items()}
+        rows = {"/".join(stored_path((spec.Trajectory.STATE, key))): values for key, values in state.items()}
+        rows |= {"/".join(stored_path((spec.Trajectory.ACTION, key))): values for key, values in action.items()}
         return rows
 
     def _state(self, where: str) -> Rows:
@@ -216,7 +216,7 @@ class NativeEpisode(_MappedEpisode):
     def _camera_sources(self) -> dict[str, str]:
         sources: dict[str, str] = {}
         for name, how in self._mapping.images.items():
-            source = "/".join(stored((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
+            source = "/".join(stored_path((spec.Obs.VISION, how.cameras[0], spec.Camera.COLOR)))
             if source in self._inner.cameras and source not in sources.values():
                 sources[name] = source
         return sources
@@ -230,7 +230,7 @@ class NativeEpisode(_MappedEpisode):
         """The columns of a group that the mapping reads, by the standard's key."""
         vectors = self._mapping.states.values() if group == spec.Trajectory.STATE else [self._mapping.action.vector]
         keys = dict.fromkeys(item.key for vector in vectors for item in vector.parts if item.key)
-        return {key: "/".join(stored((group, key))) for key in keys}
+        return {key: "/".join(stored_path((group, key))) for key in keys}
 
     @functools.cached_property
     def _rows(self) -> Rows:

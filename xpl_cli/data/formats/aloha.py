@@ -23,7 +23,7 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the dataset."""
-    files = hdf5.OpenFileCache(storage.opened)
+    files = hdf5.OpenFileCache(storage.open_file)
     return FolderSet(
         path, NAME, hdf5.files(path), lambda file, key: InlineInstructionEpisode((file, files), "", key, _STEPS)
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from xpl.registry import OURS
+from xpl.registry import BUILT_IN_DISTRIBUTION
 from xpl_cli.basics import formats
 from xpl_cli.data.formats import hdf5
 from xpl_cli.data.sets.errors import DataError
@@ -25,7 +25,7 @@ def open_here(path: Path) -> Demonstrations:
         EntryPointError: a format of an installed package cannot be used.
     """
     readers = formats.registered(formats.DATA)
-    for entry in sorted(readers.values(), key=lambda entry: entry.distribution == OURS):
+    for entry in sorted(readers.values(), key=lambda entry: entry.distribution == BUILT_IN_DISTRIBUTION):
         if formats.call(entry, "recognises", path):
             dataset: Demonstrations = formats.call(entry, "opened", path)
             return dataset

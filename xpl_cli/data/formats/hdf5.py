@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, Generic, Protocol, TypeVar
 import numpy as np
 
 from xpl.trajectory import TrajectoryError, storage
-from xpl.trajectory import pictures as stored
+from xpl.trajectory import image_datasets as stored
 from xpl_cli.data.formats import image_codec, libraries
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras
@@ -24,8 +24,8 @@ from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from xpl.trajectory.names import Place
-    from xpl.trajectory.nodes import Dataset, File, Group
+    from xpl.trajectory.hdf5_types import HDF5Dataset, HDF5File, HDF5Group
+    from xpl.trajectory.names import DatasetPath
 
 _SUFFIXES: Final = (".hdf5", ".h5")
 _DEPTHS: Final = ("*", "*/*", "*/*/*")
@@ -49,7 +49,7 @@ def first(path: Path) -> Path | None:
     return next(_files(path), None)
 
 
-def is_hdf5_set(path: Path, recognises: Callable[[File], bool]) -> bool:
+def is_hdf5_set(path: Path, recognises: Callable[[HDF5File], bool]) -> bool:
     """Tell whether a dataset consists of HDF5 files of a format, by one of them.
 
     Args:
@@ -81,14 +81,14 @@ def _files(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[File]:
+def opened(path: Path) -> Iterator[HDF5File]:
     """Open a file for reading.
 
     Raises:
         DataError: the file does not exist, is no HDF5 file, or is damaged.
     """
     libraries.h5py()
-    with data_errors(path), storage.opened(str(path)) as file:
+    with data_errors(path), storage.open_file(str(path)) as file:
         yield file
 
 
@@ -146,7 +146,7 @@ def data_errors(path: str | Path) -> Iterator[None]:
         raise DataError(f"{path} is damaged: {str(error)[:200]}") from None
 
 
-def attributes(node: Group | Dataset) -> dict[str, Any]:
+def attributes(node: HDF5Group | HDF5Dataset) -> dict[str, Any]:
     """Return the attributes of a group or file as JSON values."""
     return {name: storage.plain(value) for name, value in node.attrs.items()}
 
@@ -164,7 +164,7 @@ class Hdf5Episode(OutlinedEpisode):
 
     def __init__(
         self,
-        file: tuple[Path, OpenFileCache[File]],
+        file: tuple[Path, OpenFileCache[HDF5File]],
         group: str,
         key: str,
         steps: tuple[str, ...],
@@ -194,12 +194,12 @@ class Hdf5Episode(OutlinedEpisode):
                     image = storage.rows(dataset, index)
                     yield image[..., 0] if camera_info.kind == "depth" and image.ndim == 3 else image
                 return
-            for index, data in stored.series(dataset, steps):
+            for index, data in stored.read_encoded(dataset, steps):
                 yield image_codec.decode_image(
                     data.rstrip(b"\0"), f"{self._path}, {self._key}, {camera}, image {index}"
                 )
 
-    def _root(self, file: File) -> Group:
+    def _root(self, file: HDF5File) -> HDF5Group:
         return storage.group(file, self._group) if self._group else file
 
     def outline(self) -> Outline:
@@ -215,7 +215,7 @@ class Hdf5Episode(OutlinedEpisode):
             for path, dataset in datasets.items():
                 name = "/".join(path)
                 is_steps = bool(dataset.shape) and dataset.shape[0] == length
-                picture = stored.found(path, dataset) if is_steps and length else None
+                picture = stored.image_series(path, dataset) if is_steps and length else None
                 if picture is not None:
                     beside = _matrices(path, datasets)
                     cameras[name] = CameraInfo(picture.height, picture.width, picture.kind, picture.encoding, **beside)
@@ -230,7 +230,7 @@ class Hdf5Episode(OutlinedEpisode):
         del extras
         return self._instructions
 
-    def _count_steps(self, datasets: Mapping[Place, Dataset], where: str) -> int:
+    def _count_steps(self, datasets: Mapping[DatasetPath, HDF5Dataset], where: str) -> int:
         for name in self._steps:
             dataset = datasets.get(tuple(name.split("/")))
             if dataset is not None and dataset.shape:
@@ -238,14 +238,14 @@ class Hdf5Episode(OutlinedEpisode):
         raise DataError(f"{where} has no {' or '.join(self._steps)}, one of which every episode of this format has")
 
 
-def _column(dataset: Dataset) -> ColumnInfo | None:
+def _column(dataset: HDF5Dataset) -> ColumnInfo | None:
     """Return the column of an HDF5 dataset; None if it holds neither numbers nor text."""
     if libraries.h5py().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 1:
         return ColumnInfo((), "str")
     return ColumnInfo(tuple(dataset.shape[1:]), dataset.dtype.name) if dataset.dtype.kind in "biuf" else None
 
 
-def _matrices(path: Place, datasets: Mapping[Place, Dataset]) -> dict[str, Any]:
+def _matrices(path: DatasetPath, datasets: Mapping[DatasetPath, HDF5Dataset]) -> dict[str, Any]:
     """Return the camera matrices stored beside a camera's images."""
     result = {}
     for field, names in (

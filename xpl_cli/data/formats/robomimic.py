@@ -18,7 +18,7 @@ from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import Demonstrations, Extras
 
 if TYPE_CHECKING:
-    from xpl.trajectory.nodes import File
+    from xpl.trajectory.hdf5_types import HDF5File
 
 NAME: Final = "robomimic"
 _STEPS: Final = ("actions", "states")
@@ -35,7 +35,7 @@ def opened(path: Path) -> RobomimicSet:
     return RobomimicSet(path, hdf5.files(path))
 
 
-def _is_one(file: File) -> bool:
+def _is_one(file: HDF5File) -> bool:
     try:
         return any(name.startswith("demo") for name in storage.group(file, "data"))
     except TrajectoryError:
@@ -91,7 +91,7 @@ class RobomimicSet(Demonstrations):
     @functools.cached_property
     def _episodes(self) -> list[Hdf5Episode]:
         episodes: list[Hdf5Episode] = []
-        files = hdf5.OpenFileCache(storage.opened)
+        files = hdf5.OpenFileCache(storage.open_file)
         for path in self._files:
             with hdf5.opened(path) as file:
                 group = storage.group(file, "data")

@@ -43,7 +43,7 @@ def recognises(path: Path) -> bool:
 
 def opened(path: Path) -> FolderSet:
     """Return the dataset."""
-    files = hdf5.OpenFileCache(storage.opened)
+    files = hdf5.OpenFileCache(storage.open_file)
     return FolderSet(path, NAME, hdf5.files(path), lambda file, key: _RobotwinEpisode((file, files), "", key, _STEPS))
 
 

@@ -103,10 +103,10 @@ class _StandardFileEpisode(OutlinedEpisode):
         return Outline(length, instructions or instructions_in(extras), columns, cameras, extras)
 
 
-def _camera(file: Trajectory, name: str, picture: trajectory.Picture) -> CameraInfo:
+def _camera(file: Trajectory, name: str, picture: trajectory.ImageSeries) -> CameraInfo:
     beside = tuple(name.split("/")[:-1])
     matrices = {
-        names.shown(path)[-1]: file.rows("/".join(path))
+        names.observation_path(path)[-1]: file.rows("/".join(path))
         for path in file.datasets
         if path[:-1] == beside and names.is_image(path, *_MATRICES)
     }
@@ -175,10 +175,10 @@ class StandardWriter:
                     is_lossy = camera.kind == "color" and form == trajectory.FORMS[0]
                     writer.put_images(name, _jpegs(frames, samples.setdefault(name, [])) if is_lossy else frames)
                 for name, value in beside.items():
-                    (writer.put if _is_of_steps(value) else writer.keep)(name, value)
+                    (writer.put if _is_of_steps(value) else writer.put_constant)(name, value)
                 for name, value in _instruction(episode).items():
                     if name not in episode.columns:
-                        writer.keep(name, value)
+                        writer.put_constant(name, value)
                 writer.subtasks = _subtasks(episode.extras.get(spec.Trajectory.SUBTASKS))
         except TrajectoryError as error:
             raise DataError(f"{episode.key}: {error}") from None
@@ -230,7 +230,7 @@ def _beside_images(episode: RecordedEpisode) -> dict[str, Any]:
                 last = np.broadcast_to(np.array([[0.0, 0.0, 0.0, 1.0]]), (*values.shape[:-2], 1, 4))
                 values = np.concatenate([values, last], axis=-2)
             if values.shape[-2:] == (size, size):
-                values_by_path["/".join(names.stored((*name.split("/")[:-1], leaf)))] = values
+                values_by_path["/".join(names.stored_path((*name.split("/")[:-1], leaf)))] = values
     return {name: value for name, value in values_by_path.items() if name not in episode.columns}
 
 

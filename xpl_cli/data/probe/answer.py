@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 MARGIN: Final = 1.5
-"""Least ratio of the second-best error to the best, chosen on the datasets of tests/data/probe/written.py."""
+"""Least ratio of the second-best error to the best, chosen on the datasets of tests/data/probe/probe_datasets.py."""
 
 MOST_MARGIN: Final = 1000.0
 """Margins are reported up to this value."""

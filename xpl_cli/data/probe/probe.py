@@ -104,9 +104,7 @@ def probe(
             why = f"{part.width} numbers that move neither like an arm nor like a gripper"
             result.answers.append(unknown("kind", part.subject, why, "names of the numbers"))
     result.answers.append(_idle(result))
-    result.answers += [
-        answer for one in catalogue.installed() if one.told_by is not None for answer in one.told_by(sample)
-    ]
+    result.answers += [answer for one in catalogue.installed() if one.probe is not None for answer in one.probe(sample)]
     if images:
         result.answers += cameras.probe_cameras(sample.episodes, _moving(result), _heights(result), report_progress)
     return result

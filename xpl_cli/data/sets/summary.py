@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Final, Self
 
 from xpl import _spec as sdk
-from xpl.trajectory.truth import LEFT_OUT, RECORDED
+from xpl.trajectory.ground_truth import LEFT_OUT, RECORDED
 
 if TYPE_CHECKING:
     from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, RecordedEpisode

@@ -13,7 +13,7 @@ import numpy as np
 from xpl import _spec as sdk
 from xpl import images, json_text, trajectory
 from xpl.observation import ObservationError
-from xpl.trajectory import names, pictures, storage
+from xpl.trajectory import image_datasets, names, storage
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.standard.problems import Problem
 from xpl_cli.standard.validate import page_of, validate
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
     from pathlib import Path
 
-    from xpl.trajectory.nodes import Dataset
+    from xpl.trajectory.hdf5_types import HDF5Dataset
 
 SCHEMA: Final = "trajectory"
 _JSON: Final = (sdk.Trajectory.INSTRUCTIONS, sdk.Trajectory.SUBTASKS)
@@ -47,7 +47,7 @@ def schema_problems(file: Path) -> list[Problem]:
     return sorted(placed, key=lambda one: [str(part) for part in one.path])
 
 
-def _of_schema(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
+def _of_schema(datasets: Mapping[names.DatasetPath, HDF5Dataset]) -> Iterator[Problem]:
     document: dict[str, Any] = {}
     for path, dataset in datasets.items():
         *groups, leaf = path
@@ -59,7 +59,7 @@ def _of_schema(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
         yield replace(problem, path=tuple(["/".join(map(str, problem.path))] if problem.path else ()))
 
 
-def _of_series(datasets: Mapping[names.Place, Dataset]) -> Iterator[Problem]:
+def _of_series(datasets: Mapping[names.DatasetPath, HDF5Dataset]) -> Iterator[Problem]:
     """Yield a problem for state and action if none of its names is the standard's; the schema allows any name."""
     stems = {
         prefix + stored
@@ -92,7 +92,7 @@ def _of_images(recording: trajectory.Trajectory) -> Iterator[Problem]:
             )
         for step in sorted({0, count // 2, count - 1}) if count else ():
             try:
-                images.size_of(pictures.encoded(dataset, step))
+                images.size_of(image_datasets.read_row(dataset, step))
             except (ObservationError, trajectory.TrajectoryError) as error:
                 yield Problem(
                     path_of_problem, f"expected an encoded image at step {step}, got none: {error}", "an encoded image"
@@ -100,7 +100,7 @@ def _of_images(recording: trajectory.Trajectory) -> Iterator[Problem]:
                 break
 
 
-def _schema_value(path: names.Place, dataset: Dataset) -> Any:
+def _schema_value(path: names.DatasetPath, dataset: HDF5Dataset) -> Any:
     """Return a placeholder of the dataset's shape and type; the content only of strings and scalars."""
     if storage.hdf5().check_string_dtype(dataset.dtype) is not None and dataset.ndim == 0:
         text = str(storage.text(dataset))

@@ -21,7 +21,7 @@ _UsageError: Any = typer.BadParameter.__base__
 
 
 @dataclass(frozen=True)
-class Command:
+class QuotedCommand:
     """A command as a text tells it.
 
     Attributes:
@@ -36,7 +36,7 @@ class Command:
         return " ".join(["xpl", *self.words])
 
 
-def commands(path: Path) -> list[Command]:
+def quoted_commands(path: Path) -> list[QuotedCommand]:
     """Return the commands that a Markdown file of the checkout tells, each once."""
     entered = [
         words[words.index("xpl") + 1 :]
@@ -46,12 +46,12 @@ def commands(path: Path) -> list[Command]:
         if words[0] == "xpl" or words[:2] == ["./dev", "xpl"]
     ]
     spoken = [found[1].split() for span in pages.spans(path) if (found := _CALL.fullmatch(span))]
-    told = [Command(tuple(words), exact=words[0] not in _OPEN) for words in entered]
-    told += [Command(tuple(words), exact=False) for words in spoken]
+    told = [QuotedCommand(tuple(words), exact=words[0] not in _OPEN) for words in entered]
+    told += [QuotedCommand(tuple(words), exact=False) for words in spoken]
     return list(dict.fromkeys(told))
 
 
-def fault(command: Command) -> str | None:
+def command_error(command: QuotedCommand) -> str | None:
     """Return what the command line says against a command, or None."""
     try:
         return _fault_of_exact(command) if command.exact else _fault_of_spoken(command)
@@ -61,7 +61,7 @@ def fault(command: Command) -> str | None:
         return f"{command}: {error.format_message()}"
 
 
-def _fault_of_exact(command: Command) -> str | None:
+def _fault_of_exact(command: QuotedCommand) -> str | None:
     """Parse all of it; a number that stands in capitals is any number."""
     found, context, rest = pages._descend(list(command.words))
     if hasattr(found, "commands") and rest and not rest[0].startswith("-"):
@@ -81,7 +81,7 @@ def _with_numbers(command: Any, context: Any, words: list[str]) -> list[str]:
     return ["1" if before in wanting and word.isupper() else word for before, word in pairs]
 
 
-def _fault_of_spoken(command: Command) -> str | None:
+def _fault_of_spoken(command: QuotedCommand) -> str | None:
     """Look up the command and its options; several may be told at once (`list|check`), and arguments may be missing."""
     words = [word.strip("[],") for word in itertools.takewhile(lambda word: word not in _OPEN, command.words)]
     for said in itertools.product(*(word.split("|") if re.fullmatch(r"[a-z|-]+", word) else [word] for word in words)):

@@ -72,7 +72,7 @@ def block(**changes: Any) -> dict[str, Any]:
     return {**copy.deepcopy(TWO_ARMS), **changes}
 
 
-def made(folder: Path, model_io: dict[str, Any] | None, model: str = MODEL) -> Path:
+def write_adapter(folder: Path, model_io: dict[str, Any] | None, model: str = MODEL) -> Path:
     """Write an adapter for two arms into a folder and return it."""
     answers = {**adapter.defaults(), "name": folder.name, "embodiment": "arx_x5", "action_type": "joint"}
     adapter.write(adapter.render(AdapterAnswers(**answers)), folder)

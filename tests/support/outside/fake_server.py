@@ -14,7 +14,7 @@ from xpl.wire.codec import Frame
 
 
 @contextlib.contextmanager
-def standing_in(answer: Callable[[Frame], Any]) -> Iterator[tuple[str, list[Frame]]]:
+def fake_server(answer: Callable[[Frame], Any]) -> Iterator[tuple[str, list[Frame]]]:
     """Serve what a function answers; yield the address, and the requests as they arrive.
 
     Args:
