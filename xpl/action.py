@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 _ROUNDING = 1e-6
-"""How far a gripper may be outside its range: float32 has seven digits."""
+"""Tolerance of the gripper range for float32 rounding."""
 
 
 class ActionError(ValueError):
@@ -38,13 +38,13 @@ def pack(values: Mapping[str, Any], embodiment: Embodiment, action_type: str, *,
         values: maps each key to its values, arrays or lists; other keys are ignored.
         embodiment: the robot.
         action_type: "joint" or "ee".
-        what: how an error names the values.
+        what: name of the values in errors.
 
     Returns:
         (D,) float32, D = `action_dim(embodiment, action_type)`.
 
     Raises:
-        ActionError: if a key is missing, is not one-dimensional or has another dimension.
+        ActionError: a key is missing, is not one-dimensional or has another dimension.
     """
     parts = []
     for key, dim in embodiment.dims(action_type).items():
@@ -66,10 +66,10 @@ def unpack(flat: object, embodiment: Embodiment, action_type: str) -> dict[str, 
         action_type: "joint" or "ee".
 
     Returns:
-        a new map from each key to its (dim,) float32 values.
+        A new map from each key to its (dim,) float32 values.
 
     Raises:
-        ActionError: if `flat` is not a vector of the embodiment's action dimension.
+        ActionError: `flat` is not a vector of the embodiment's action dimension.
     """
     vector = _vector(flat, action_dim(embodiment, action_type), f"flat {action_type} action of {embodiment.name}")
     step, start = {}, 0
@@ -80,13 +80,18 @@ def unpack(flat: object, embodiment: Embodiment, action_type: str) -> dict[str, 
 
 
 def check_form(step: object, embodiment: Embodiment, action_type: str) -> np.ndarray:
-    """Check that a step is one of this robot at all: exact keys, dimensions, numbers; any values.
+    """Check keys, dimensions and types of an action step, not its values.
+
+    Args:
+        step: map from each key to its (dim,) values; arrays or lists of numbers.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
 
     Returns:
-        the flat vector, as `pack` does.
+        The flat vector, (D,) float32; see `pack`.
 
     Raises:
-        ActionError: with the first difference found.
+        ActionError: describes the first difference.
     """
     if not isinstance(step, Mapping):
         raise ActionError(f"an action step must be a map of arrays, got {type(step).__name__}")
@@ -101,10 +106,15 @@ def check_form(step: object, embodiment: Embodiment, action_type: str) -> np.nda
 
 
 def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
-    """Check one action step: exact keys, dimensions, finiteness, unit quaternions, gripper range.
+    """Check one action step: exact keys, dimensions, finiteness, unit quaternions, gripper range 0..1.
+
+    Args:
+        step: map from each key to its (dim,) values; rad, m, unit quaternions [qw, qx, qy, qz].
+        embodiment: the robot.
+        action_type: "joint" or "ee".
 
     Raises:
-        ActionError: with the first difference found.
+        ActionError: describes the first difference.
     """
     flat = check_form(step, embodiment, action_type)
     if not np.isfinite(flat).all():
@@ -117,14 +127,19 @@ def check_step(step: Any, embodiment: Embodiment, action_type: str) -> None:
 def check_chunk(chunk: object, embodiment: Embodiment, action_type: str) -> None:
     """Check an action chunk: a non-empty list whose steps all pass `check_step`.
 
+    Args:
+        chunk: list of action steps.
+        embodiment: the robot.
+        action_type: "joint" or "ee".
+
     Raises:
-        ActionError: naming the step and the difference.
+        ActionError: names the step and the difference.
     """
     if isinstance(chunk, (str, bytes, Mapping)) or not isinstance(chunk, Sequence):
         raise ActionError(f"an action chunk must be a list of action steps, got {type(chunk).__name__}")
     if not chunk:
         raise ActionError("an action chunk must hold at least one action step, got an empty list")
-    if _is_plainly_right(chunk, embodiment, action_type):
+    if _passes_fast_check(chunk, embodiment, action_type):
         return
     index = 0
     try:
@@ -134,10 +149,10 @@ def check_chunk(chunk: object, embodiment: Embodiment, action_type: str) -> None
         raise ActionError(f"step {index} of {len(chunk)}: {error}") from None
 
 
-def _is_plainly_right(chunk: Sequence[Any], embodiment: Embodiment, action_type: str) -> bool:
-    """Tell whether a chunk of float32 arrays is right; a check of each step costs more than many a policy does.
+def _passes_fast_check(chunk: Sequence[Any], embodiment: Embodiment, action_type: str) -> bool:
+    """Return whether a chunk of float32 arrays is valid, faster than by a check of each step.
 
-    Of any other chunk, `check_step` tells what is wrong with it, or that nothing is.
+    For any other chunk, `check_step` decides and describes the difference.
     """
     dims = embodiment.dims(action_type)
     if any(type(step) is not dict or step.keys() != dims.keys() for step in chunk):
@@ -179,12 +194,12 @@ def _vector(value: object, dim: int, what: str) -> np.ndarray:
         array = np.asarray(value)
     except (TypeError, ValueError):  # nested lists of unequal lengths, for example
         raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__}") from None
-    # Text that reads as a number is none: it would pass here and fail in the controller.
+    # Strings are refused: numpy would parse them here, and the controller would fail.
     if array.dtype.kind not in "biuf":
         raise ActionError(f"{what} must be {dim} numbers, got {type(value).__name__} of {array.dtype}")
     if array.shape != (dim,):
         raise ActionError(f"{what} must have shape ({dim},), got {array.shape}")
     if array.dtype == np.float32:
         return array
-    with np.errstate(over="ignore"):  # becomes infinity, which the callers look for
+    with np.errstate(over="ignore"):  # becomes infinity, which the callers check
         return array.astype(np.float32)

@@ -1,6 +1,6 @@
-"""What a manifest assumes: `{assumed: value, why: reason}` in the place of a value.
+"""Assumed values of a manifest: `{assumed: value, why: reason}` in place of a value.
 
-Whoever runs a package takes the value; whoever checks it counts and names the assumption.
+Serving uses the value; the audit counts and names the assumption.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from xpl.nested import written
+from xpl.nested import format_path
 
 _KEYS = frozenset(("assumed", "why"))
 
 
 @dataclass(frozen=True)
 class Assumption:
-    """A value that nobody was found to say.
+    """A value without a source.
 
     Attributes:
-        path: keys and positions that lead to it, from the outside in.
-        value: what is assumed.
+        path: keys and indices that lead to it, from the outside in.
+        value: the assumed value.
         why: the reason.
     """
 
@@ -30,23 +30,23 @@ class Assumption:
 
     @property
     def where(self) -> str:
-        """Its place as people read it: `model_io.images[0].channels`."""
-        return written(self.path)
+        """Its path as text: `model_io.images[0].channels`."""
+        return format_path(self.path)
 
 
-def settled(document: Any) -> Any:
-    """Return a document with each value that is assumed in its place; the rest is not copied."""
+def resolve_assumptions(document: Any) -> Any:
+    """Return a document with assumed values in place of the assumptions; the rest is not copied."""
     if _is_assumption(document):
-        return settled(document["assumed"])
+        return resolve_assumptions(document["assumed"])
     if isinstance(document, Mapping):
-        return {key: settled(value) for key, value in document.items()}
+        return {key: resolve_assumptions(value) for key, value in document.items()}
     if isinstance(document, list):
-        return [settled(value) for value in document]
+        return [resolve_assumptions(value) for value in document]
     return document
 
 
 def assumptions(document: Any, path: tuple[str | int, ...] = ()) -> Iterator[Assumption]:
-    """Yield what a document assumes, in its order."""
+    """Yield the assumptions of a document, in its order."""
     if _is_assumption(document):
         yield Assumption(path, document["assumed"], document["why"])
     elif isinstance(document, Mapping):

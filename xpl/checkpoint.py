@@ -2,8 +2,8 @@
 
 Order (source: adapter contract): an explicit path key; `ckpt_name` as a path;
 `checkpoints/<bench_name>-<ckpt_name>-<env_cfg_type>-<action_type>-<seed>`; `checkpoints/<ckpt_name>`. Relative paths
-start at the policy folder. A path that was given and does not exist is an error, never the next candidate.
-`ckpt_name` counts as a given path if it has a path's form (`./x`, `a/b`, `~`); a bare name may also be an entry of the
+start at the policy folder. A configured path that does not exist is an error; the next candidate is not tried.
+`ckpt_name` counts as a path if it has a path's form (`./x`, `a/b`, `~`); a bare name may also be an entry of the
 policy folder.
 """
 
@@ -20,30 +20,30 @@ if TYPE_CHECKING:
 
 
 class CheckpointError(FileNotFoundError):
-    """A checkpoint, or a step of it, that was asked for is not there."""
+    """The configured checkpoint, or its step, does not exist."""
 
 
 def resolve(config: Config, policy_dir: str | Path) -> Path:
     """Return the checkpoint's file or folder.
 
     Args:
-        config: values of deploy.yml after overrides; null or empty means not given.
+        config: values of deploy.yml after overrides; null or empty means not set.
         policy_dir: folder that relative paths start at.
 
     Raises:
-        CheckpointError: if nothing was given, or what was given does not exist; lists what was looked for.
+        CheckpointError: nothing is configured, or it does not exist; lists the paths tried.
     """
     base = Path(policy_dir)
     for key in spec.CHECKPOINT_KEYS:
-        if _given(config.get(key)):
-            return _existing(base / Path(str(config[key])).expanduser(), f"{key} is {config[key]!r}")
+        if _is_set(config.get(key)):
+            return _require_existing(base / Path(str(config[key])).expanduser(), f"{key} is {config[key]!r}")
     name = config.get(spec.Deploy.CKPT_NAME)
-    if not _given(name):
+    if not _is_set(name):
         keys = ", ".join((*spec.CHECKPOINT_KEYS, spec.Deploy.CKPT_NAME))
         raise CheckpointError(f"no checkpoint is configured: set one of {keys} in deploy.yml or with --set")
     text = str(name)
     if _is_path(text):
-        return _existing(base / Path(text).expanduser(), f"ckpt_name is the path {text!r}")
+        return _require_existing(base / Path(text).expanduser(), f"ckpt_name is the path {text!r}")
     folder = base / spec.CHECKPOINT_DIRECTORY
     candidates = [base / text, *(folder / run for run in (run_name(config), text) if run)]
     for candidate in candidates:
@@ -51,32 +51,32 @@ def resolve(config: Config, policy_dir: str | Path) -> Path:
             return candidate
     looked = ", ".join(str(candidate) for candidate in candidates)
     raise CheckpointError(
-        f"ckpt_name {text!r} names no checkpoint: looked for {looked}; "
-        "`xpl checkpoint fetch` brings what policy.yml specifies"
+        f"ckpt_name {text!r} names no checkpoint: tried {looked}; "
+        "`xpl checkpoint fetch` downloads what policy.yml specifies"
     )
 
 
 def folders(config: Config, policy_dir: str | Path) -> list[Path]:
-    """Return where what belongs to a model may lie, such as statistics: the policy's folder, and its checkpoint's.
+    """Return the folders of a model's files, such as statistics: the policy's folder, and its checkpoint's.
 
     Args:
         config: values of deploy.yml after overrides.
-        policy_dir: the policy's folder; alone, if no checkpoint is there.
+        policy_dir: the policy's folder; the only one if there is no checkpoint.
     """
     base = Path(policy_dir)
     try:
-        found = resolve(config, base)
+        path = resolve(config, base)
     except CheckpointError:
         return [base]
-    return [base, found if found.is_dir() else found.parent]
+    return [base, path if path.is_dir() else path.parent]
 
 
 def run_name(config: Config) -> str | None:
-    """Return the conventional run name, or None where a part of it is not configured."""
+    """Return the conventional run name, or None if a part of it is not configured."""
     parts = []
     for key in spec.CHECKPOINT_RUN_NAME:
         names = (key, *spec.CONFIG_ALIASES.get(key, ()))
-        values = [config[name] for name in names if _given(config.get(name))]
+        values = [config[name] for name in names if _is_set(config.get(name))]
         if not values:
             return None
         parts.append(str(values[0]))
@@ -88,32 +88,31 @@ def resolve_step(root: str | Path, step: int | None, pattern: str = r"(?:step_|c
 
     Args:
         root: folder with one entry per saved step.
-        step: the step, 0 included; None asks for the newest.
-        pattern: regular expression that a whole entry name (without its suffix) matches; group 1 is the step.
+        step: the training step, at least 0; None for the newest.
+        pattern: regular expression of a whole entry name (without its suffix); group 1 is the step.
 
     Raises:
-        CheckpointError: if that step, or any step, is not there, and lists the steps that are; or if several entries
-            are of that step, since choosing between them would be a guess.
+        CheckpointError: the step, or any step, does not exist (lists those that do); or several entries have it.
     """
     steps: dict[int, list[Path]] = {}
     for entry in sorted(Path(root).iterdir()) if Path(root).is_dir() else []:
-        found = re.fullmatch(pattern, entry.name if entry.is_dir() else entry.stem)
-        if found:
-            steps.setdefault(int(found.group(1)), []).append(entry)
-    wanted = max(steps, default=None) if step is None else step
-    if wanted is None or wanted not in steps:
-        there = ", ".join(map(str, sorted(steps))) or "none"
+        match = re.fullmatch(pattern, entry.name if entry.is_dir() else entry.stem)
+        if match:
+            steps.setdefault(int(match.group(1)), []).append(entry)
+    selected = max(steps, default=None) if step is None else step
+    if selected is None or selected not in steps:
+        available = ", ".join(map(str, sorted(steps))) or "none"
         raise CheckpointError(
-            f"{root} has no checkpoint of step {'(any)' if step is None else step}; there are: {there}"
+            f"{root} has no checkpoint of step {'(any)' if step is None else step}; there are: {available}"
         )
-    entries = steps[wanted]
+    entries = steps[selected]
     if len(entries) > 1:
         names = ", ".join(entry.name for entry in entries)
-        raise CheckpointError(f"{root} has several entries of step {wanted}: {names}; keep one, or name its path")
+        raise CheckpointError(f"{root} has several entries of step {selected}: {names}; keep one, or name its path")
     return entries[0]
 
 
-def _given(value: object) -> bool:
+def _is_set(value: object) -> bool:
     return value is not None and value != ""
 
 
@@ -121,7 +120,7 @@ def _is_path(name: str) -> bool:
     return "/" in name or "\\" in name or name.startswith(("~", "."))
 
 
-def _existing(path: Path, why: str) -> Path:
+def _require_existing(path: Path, why: str) -> Path:
     if not path.exists():
         raise CheckpointError(f"{why}, but {path} does not exist")
     return path

@@ -1,4 +1,4 @@
-"""What an environment is asked to play: its configuration, checked against what env.yml offers."""
+"""Configuration of an environment, checked against env.yml."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from xpl.manifest import EnvManifest
 
 _CHANGEABLE = ("task", spec.Obs.PRIVILEGED, "max_steps", "cameras", "setting")
-"""What a reset may give new values for."""
+"""Keys that a reset may change."""
 
 
 @dataclass(frozen=True)
-class Configuration:
-    """The keys of a configuration, with what they default to (see `xpl.environment.EnvironmentBase`)."""
+class EnvConfiguration:
+    """The keys of a configuration, with their defaults (see `xpl.environment.EnvironmentBase`)."""
 
     task: str
     embodiment: str
@@ -34,33 +34,33 @@ class Configuration:
     setting: str | None = None
 
     @classmethod
-    def read(cls, config: Config, manifest: EnvManifest) -> Configuration:
-        """Return a configuration as it was given.
+    def read(cls, config: Config, manifest: EnvManifest) -> EnvConfiguration:
+        """Read a configuration.
 
         Raises:
             ValueError: a key is unknown, or task or embodiment is missing.
         """
-        known = _known(config, [entry.name for entry in fields(cls)], "configuration key")
-        known.setdefault(spec.Deploy.ACTION_TYPE, manifest.action_types[0])
-        missing = [name for name in ("task", "embodiment") if not known.get(name)]
+        values = _check_keys(config, [entry.name for entry in fields(cls)], "configuration key")
+        values.setdefault(spec.Deploy.ACTION_TYPE, manifest.action_types[0])
+        missing = [name for name in ("task", "embodiment") if not values.get(name)]
         if missing:
             offered = ", ".join(manifest.tasks)
             raise ValueError(f"the configuration lacks {' and '.join(missing)}; tasks are {offered}")
-        return cls(**known)
+        return cls(**values)
 
-    def changed(self, options: Mapping[str, Any]) -> Configuration:
+    def with_options(self, options: Mapping[str, Any]) -> EnvConfiguration:
         """Return the configuration with the options of a reset.
 
         Raises:
             ValueError: an option is unknown.
         """
-        return replace(self, **_known(options, _CHANGEABLE, "reset option"))
+        return replace(self, **_check_keys(options, _CHANGEABLE, "reset option"))
 
     def setup(self, manifest: EnvManifest) -> Setup:
-        """Return what is to be played, if that is offered.
+        """Return the checked setup of an environment.
 
         Raises:
-            ValueError: it is not.
+            ValueError: env.yml does not offer it.
         """
         one_of("task", self.task, manifest.tasks)
         try:
@@ -73,8 +73,8 @@ class Configuration:
         one_of(spec.Deploy.ACTION_TYPE, self.action_type, manifest.action_types)
         one_of("setting", setting, manifest.settings)
         if task.arms and len(robot.arms) not in task.arms:
-            wanted = " or ".join(map(str, task.arms))
-            raise ValueError(f"task {self.task} is for {wanted} arms; {robot.name} has {len(robot.arms)}")
+            counts = " or ".join(map(str, task.arms))
+            raise ValueError(f"task {self.task} is for {counts} arms; {robot.name} has {len(robot.arms)}")
         reason = task.unsupported.get(robot.name)
         if reason is not None:
             raise ValueError(f"task {self.task} is not offered with {robot.name}: {reason}")
@@ -97,8 +97,13 @@ class Configuration:
 def one_of(what: str, value: Any, offered: Any) -> None:
     """Check that a value is one of those offered.
 
+    Args:
+        what: name of the value in the error.
+        value: the value.
+        offered: the valid values.
+
     Raises:
-        ValueError: with the offered ones, and the nearest.
+        ValueError: lists the valid values, and names the nearest.
     """
     if value not in offered:
         near = difflib.get_close_matches(str(value), [str(name) for name in offered], n=1)
@@ -106,15 +111,15 @@ def one_of(what: str, value: Any, offered: Any) -> None:
         raise ValueError(f"unknown {what} {value!r}: this environment offers {', '.join(map(str, offered))}{hint}")
 
 
-def _cameras(wanted: bool | Sequence[int]) -> bool | tuple[int, int]:  # noqa: FBT001 - a value of the configuration
-    if isinstance(wanted, bool):
-        return wanted
-    if len(wanted) != 2 or min(wanted) < 1:
-        raise ValueError(f"cameras must be true, false or [height, width] in pixels, got {wanted!r}")
-    return int(wanted[0]), int(wanted[1])
+def _cameras(value: bool | Sequence[int]) -> bool | tuple[int, int]:  # noqa: FBT001 - a value of the configuration
+    if isinstance(value, bool):
+        return value
+    if len(value) != 2 or min(value) < 1:
+        raise ValueError(f"cameras must be true, false or [height, width] in pixels, got {value!r}")
+    return int(value[0]), int(value[1])
 
 
-def _known(values: Mapping[str, Any], names: Sequence[str], what: str) -> dict[str, Any]:
+def _check_keys(values: Mapping[str, Any], names: Sequence[str], what: str) -> dict[str, Any]:
     for key in values:
         one_of(what, key, names)
     return dict(values)

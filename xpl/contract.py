@@ -1,7 +1,6 @@
-"""Names for the maps that travel between environments, policies and models.
+"""Type names of the maps that environments, policies and models exchange.
 
-A name says which map it is; keys, shapes and units stand in `spec/v1/*.schema.json`. Nothing is checked here: whoever
-takes a map from outside does that.
+`spec/v1/*.schema.json` defines keys, shapes and units. Nothing is checked here, but where a map enters a process.
 """
 
 from __future__ import annotations
@@ -13,19 +12,19 @@ if TYPE_CHECKING:
     import numpy as np
 
 Observation = Mapping[str, Any]
-"""What an environment shows of itself at one control step, to be read only."""
+"""Observation of one control step; read-only."""
 ObservationDict = dict[str, Any]
-"""An observation that whoever gets it may change."""
+"""An observation that the receiver may change."""
 State = Mapping[str, Any]
 """The robot's state in an observation: numbers by key."""
 Action = Mapping[str, Any]
-"""One action step as it comes: arrays or lists of numbers by key."""
+"""One action step as received: arrays or lists of numbers by key."""
 ActionStep = dict[str, "np.ndarray"]
-"""One action step of ours: float32 arrays by key."""
+"""One action step of the SDK: float32 arrays by key."""
 Report = dict[str, Any]
-"""What an environment says of one action step that it executed."""
+"""Report of an environment about one action step that it executed."""
 Result = dict[str, Any]
-"""How an episode went, so far."""
+"""Outcome of an episode so far."""
 Config = Mapping[str, Any]
 """Values of deploy.yml after overrides, or the configuration of an environment."""
 Entry = Mapping[str, Any]
@@ -33,4 +32,4 @@ Entry = Mapping[str, Any]
 Payload = dict[str, Any]
 """The entries of a frame of the wire."""
 Announcement = Mapping[str, Any]
-"""What a policy needs, or an environment offers, as said in hello (`xpl.client.agreement`)."""
+"""What a policy needs, or an environment offers, as announced in hello (`xpl.client.agreement`)."""

@@ -1,4 +1,4 @@
-"""From a model's flat rows to action steps: unpacking, repair of small numeric overshoot, temporal ensembling."""
+"""Flat model outputs to action steps: unpacking, repair of numeric overshoot, temporal ensembling."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ def decode_rows(raw: object, embodiment: Embodiment, action_type: str) -> list[d
     """Return the action steps of flat absolute actions.
 
     Regressed values are never exact: quaternions are normalised, and a gripper command a little outside 0..1 is
-    clipped. What is too far off to be rounding (a gripper in metres or percent, a vanishing quaternion) is an error.
+    clipped. A larger deviation (a gripper in metres or percent, a quaternion near zero) is an error.
 
     Args:
-        raw: (H, D) numbers.
+        raw: (H, D) numbers: rad or poses, grippers 0..1.
         embodiment: the robot.
         action_type: "joint" or "ee".
 
+    Returns:
+        H maps from each key to its (dim,) float32 values.
+
     Raises:
-        ActionError: if the width is not the embodiment's, or a value is not finite or beyond repair.
+        ActionError: the width is not the embodiment's, or a value is not finite or beyond repair.
     """
     rows = np.array(raw, dtype=np.float32)  # a copy: the model may reuse its output
     dim = action_dim(embodiment, action_type)
@@ -52,9 +55,9 @@ def decode_rows(raw: object, embodiment: Embodiment, action_type: str) -> list[d
 
 
 def within_limits(steps: list[dict[str, np.ndarray]], embodiment: Embodiment) -> list[dict[str, np.ndarray]]:
-    """Return action steps with joint commands clipped to the limits of the embodiment, where these are known.
+    """Return action steps with joint commands clipped to the embodiment's limits, where they are known.
 
-    Limits bind (XPL-ACT-9), and a regressed value may be a little outside.
+    Limits are binding (XPL-ACT-9), and a regressed value may exceed them slightly.
     """
     bounds = {
         arm.prefix + spec.State.ARM_JOINT_STATE: (arm.lower, arm.upper)
@@ -97,19 +100,19 @@ def ensemble(
     decay: float,
     quaternions: Sequence[slice] = (),
 ) -> np.ndarray:
-    """Return a chunk averaged with the earlier predictions of the same moments (temporal ensembling).
+    """Return a chunk averaged with earlier predictions of the same steps (temporal ensembling).
 
     Weights are exp(-decay * i), i = 0 for the oldest prediction (Zhao et al. 2023, "Learning Fine-Grained Bimanual
-    Manipulation with Low-Cost Hardware", section 4.1). A moment is one observation.
+    Manipulation with Low-Cost Hardware", section 4.1). A step is one observation.
 
     Args:
-        predictions: earlier chunks of this environment by the step at which they were made; updated in place, and
-            emptied of those that no longer reach `step`.
+        predictions: earlier chunks of this environment by the step of their inference; updated in place; those that
+            no longer reach `step` are removed.
         newest: (H, D) absolute actions predicted at `step`.
         step: index of the newest observation in the episode.
-        decay: m of the formula, at least 0.
-        quaternions: columns that hold one. q and -q are the same rotation, so each is given the sign that is nearer to
-            the newest prediction, and the average is normalised.
+        decay: m in the source, at least 0.
+        quaternions: columns of quaternions. q and -q are the same rotation: each gets the sign nearer to the newest
+            prediction, and the average is normalised.
 
     Returns:
         (H, D) float64.
@@ -133,7 +136,7 @@ def ensemble(
 
 
 def quaternion_columns(embodiment: Embodiment, action_type: str) -> list[slice]:
-    """Return which columns of a flat action are quaternions."""
+    """Return the columns of the quaternions in a flat action."""
     columns, start = [], 0
     for key, width in embodiment.dims(action_type).items():
         if key.endswith(spec.State.EE_POSE):

@@ -1,4 +1,4 @@
-"""Classes whose objects are filled from a map: a field says what it takes, and what it has where that is not there."""
+"""Dataclasses that are parsed from a map: a field declares its type and its default."""
 
 from __future__ import annotations
 
@@ -11,27 +11,27 @@ _DocumentT = TypeVar("_DocumentT", bound="Document")
 
 
 class Document:
-    """What is filled from a map as YAML or JSON has it."""
+    """Base of dataclasses that are parsed from a map of YAML or JSON."""
 
     @classmethod
     def parse(cls: type[_DocumentT], data: object) -> _DocumentT:  # noqa: PYI019 - Python 3.9 has no Self
-        """Return the object that a map describes; anything else than a map counts as an empty one."""
-        known: Mapping[Any, Any] = data if isinstance(data, Mapping) else {}
+        """Parse a map; anything else counts as an empty map."""
+        entries: Mapping[Any, Any] = data if isinstance(data, Mapping) else {}
         declared = fields(cls)  # type: ignore[arg-type]
-        found = {item.name: item.metadata[_READER](known.get(item.name)) for item in declared if item.metadata}
-        values = {name: value for name, value in found.items() if value is not None}
+        parsed = {item.name: item.metadata[_READER](entries.get(item.name)) for item in declared if item.metadata}
+        values = {name: value for name, value in parsed.items() if value is not None}
         if any(item.name == "data" for item in declared):
-            values["data"] = known
+            values["data"] = entries
         return cls(**values)
 
 
-def one(kind: type, default: object = None) -> Any:
-    """Declare a value of one type; true and false are no numbers, and a whole number may stand for a float."""
+def value_field(kind: type, default: object = None) -> Any:
+    """Declare a value of one type; a bool is no number, an int is valid as float."""
     return field(default=default, metadata={_READER: _reader(kind)})
 
 
-def many(kind: type, default: tuple[Any, ...] = ()) -> Any:
-    """Declare a list, as a tuple of what has the type."""
+def list_field(kind: type, default: tuple[Any, ...] = ()) -> Any:
+    """Declare a list, parsed to a tuple of the items of the type."""
     read = _reader(kind)
 
     def reader(value: object) -> tuple[Any, ...] | None:
@@ -42,8 +42,8 @@ def many(kind: type, default: tuple[Any, ...] = ()) -> Any:
     return field(default=default, metadata={_READER: reader})
 
 
-def named(kind: type) -> Any:
-    """Declare a map from names to what has the type."""
+def map_field(kind: type) -> Any:
+    """Declare a map from names to values of the type."""
     read = _reader(kind)
 
     def reader(value: object) -> dict[str, Any] | None:
@@ -54,8 +54,8 @@ def named(kind: type) -> Any:
     return field(default_factory=dict, metadata={_READER: reader})
 
 
-def part(kind: type) -> Any:
-    """Declare a part that has its own defaults where the map does not have it."""
+def nested_field(kind: type) -> Any:
+    """Declare a nested object, which has its own defaults if the map lacks it."""
     return field(default_factory=kind, metadata={_READER: _reader(kind)})
 
 

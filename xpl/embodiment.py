@@ -1,7 +1,7 @@
 """Robots by name: dimensions, joint names, limits, gripper stroke and home pose.
 
 The facts are `spec/robots/*.yml` and, in a project, `embodiments/*.yml`
-(`xpl.robots`); what a maker does not publish is None.
+(`xpl.robots`); what the manufacturer does not publish is None.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class UnknownEmbodimentError(LookupError):
-    """No embodiment of this name is known."""
+    """There is no embodiment of this name."""
 
 
 @dataclass(frozen=True, eq=False)  # there is one object of each robot; arrays have no single truth value
@@ -56,7 +56,7 @@ class Arm:
 
 @dataclass(frozen=True, eq=False)
 class Embodiment:
-    """A robot: its arms in packing order, and the whole entry of the spec under `data`."""
+    """A robot: its arms in packing order; `data` is its whole entry of the spec."""
 
     name: str
     arms: tuple[Arm, ...]
@@ -76,14 +76,14 @@ class Embodiment:
         """Return the keys of an action step with their dimensions, in packing order.
 
         Raises:
-            ValueError: if `action_type` is not one of the standard's.
+            ValueError: `action_type` is not one of the standard's.
         """
         return dict(_dims(self, action_type))
 
 
 @functools.cache
 def _dims(embodiment: Embodiment, action_type: str) -> Mapping[str, int]:
-    """Return what `Embodiment.dims` does; each control step asks for it more than once."""
+    """Return `Embodiment.dims`, cached: each control step calls it more than once."""
     if action_type not in spec.ACTION_KEYS:
         raise ValueError(f"action_type must be one of {', '.join(spec.ACTION_TYPES)}, got {action_type!r}")
     arm_key, ee_key = spec.ACTION_KEYS[action_type]
@@ -100,25 +100,25 @@ def embodiment_names() -> list[str]:
 
 
 def get_embodiment(name: str) -> Embodiment:
-    """Return the embodiment `name`, which may be an alias such as `dual_x5`, or what a benchmark calls it.
+    """Return the embodiment `name`, which may be an alias such as `dual_x5`, or a benchmark's name of it.
 
     Raises:
-        UnknownEmbodimentError: with the nearest names.
+        UnknownEmbodimentError: lists the nearest names.
     """
-    found = robots.canonical(name)
-    if found is not None:
-        return _build(found)
+    canonical = robots.canonical(name)
+    if canonical is not None:
+        return _build(canonical)
     near = nearest(str(name), robots.names(), 2, 0.3)
     hint = f"; did you mean {' or '.join(near)}?" if near else ""
     raise UnknownEmbodimentError(f"unknown embodiment {name!r}: known are {', '.join(embodiment_names())}{hint}")
 
 
-def undeclared(manifest: Manifest, embodiment: str, action_type: str) -> str | None:
-    """Return why a manifest does not speak for a robot and a kind of action, None if it does or is silent about them.
+def why_undeclared(manifest: Manifest, embodiment: str, action_type: str) -> str | None:
+    """Return why a manifest does not declare a robot and an action type; None if it does, or declares neither.
 
     Args:
-        manifest: policy.yml, or nothing.
-        embodiment: a robot, maybe by an alias.
+        manifest: policy.yml; may be empty.
+        embodiment: name or alias of a robot.
         action_type: "joint" or "ee".
     """
     declared = manifest.embodiments
@@ -140,7 +140,7 @@ _built: dict[str, Embodiment] = {}
 
 
 def _build(name: str) -> Embodiment:
-    """Return the one object of a robot, whatever alias it was asked for by."""
+    """Return the single object of a robot, for any of its aliases."""
     if name not in _built:
         _built[name] = _from_entry(robots.entries()[name])
     return _built[name]

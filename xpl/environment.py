@@ -1,7 +1,7 @@
-"""Environments: the surface that evaluation loops drive, and a base that gives it to an author's episode.
+"""Environments: the interface of evaluation loops, and its implementation for an author's `Episode`.
 
-Evaluation calls an environment TASK_ENV. `Environment` offers that surface for any number of environments in one
-process; the author writes `Episode` (`xpl.episode`), one environment's simulator, and `env.yml`, what is offered.
+Benchmarks call an environment TASK_ENV. `Environment` implements that interface for any number of environments in one
+process; the author writes `Episode` (`xpl.episode`), the simulator of one environment, and `env.yml`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 from xpl import _spec as spec
-from xpl.configuration import Configuration, one_of
-from xpl.episode import Episode, Referee, Setup, Simulated
+from xpl.configuration import EnvConfiguration, one_of
+from xpl.episode import Episode, EpisodeRunner, Setup, Simulated
 from xpl.manifest import EnvManifest
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ __all__ = [
 
 
 class NotInstalledError(RuntimeError):
-    """What an environment plays with is not installed in its Python; the message says how it is."""
+    """The simulator is not installed in the environment's Python; the message says how to install it."""
 
 
 class TaskEnv(Protocol):
-    """What an environment offers to evaluation loops; `make(config)` of its client file returns one."""
+    """Interface of environments for evaluation loops; `make(config)` of an environment's client file returns one."""
 
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
         """Start a new episode in every environment, one seed each."""
@@ -76,8 +76,8 @@ class TaskEnv(Protocol):
         """Release everything."""
 
 
-class Place(Protocol):
-    """One environment of several: what plays its episodes, as `Referee` does for an author's `Episode`."""
+class SingleEnv(Protocol):
+    """One environment of several: runs its episodes, as `EpisodeRunner` does for an author's `Episode`."""
 
     @property
     def end_reason(self) -> str | None:
@@ -96,21 +96,21 @@ class Place(Protocol):
         """Return the episode's outcome so far."""
 
     def close(self) -> None:
-        """Release what is held."""
+        """Release its resources."""
 
 
-PlaceT = TypeVar("PlaceT", bound=Place)
+SingleEnvT = TypeVar("SingleEnvT", bound=SingleEnv)
 
 
-class EnvironmentBase(ABC, Generic[PlaceT]):
-    """One or several environments in one process, with the surface that benchmarks call TASK_ENV.
+class EnvironmentBase(ABC, Generic[SingleEnvT]):
+    """One or several environments in one process, with the interface that benchmarks call TASK_ENV.
 
-    `reset` comes first. An environment whose episode has ended leaves the running list; an action for it is ignored.
+    Call `reset` first. An environment whose episode has ended leaves the running list; actions for it are ignored.
 
     Args:
         manifest: env.yml (`read_manifest`).
         config: task, embodiment, action_type, num_envs (1), max_steps (the task's), cameras (true, false or
-            [height, width]), privileged (false), seed (0, of the first environment where `reset` is given none),
+            [height, width]), privileged (false), seed (0, of the first environment if `reset` gets none),
             setting (the first of env.yml).
 
     Raises:
@@ -118,14 +118,14 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
     """
 
     guarded = True
-    """The limits of the robot are kept: places have to see to that."""
+    """Whether the robot's limits are enforced; each `SingleEnv` must do so."""
 
     def __init__(self, manifest: EnvManifest, config: Config) -> None:
         self._manifest = manifest
-        self._config = Configuration.read(config, manifest)
+        self._config = EnvConfiguration.read(config, manifest)
         self._setup = self._config.setup(manifest)
         self._next_seed = self._config.seed
-        self._places: list[PlaceT] = []
+        self._envs: list[SingleEnvT] = []
         self._last: dict[int, ObservationDict] = {}
         self._begun = False
 
@@ -139,7 +139,7 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         Raises:
             ValueError: wrong number of seeds, or an unknown option or value.
         """
-        config = self._config.changed(options or {})
+        config = self._config.with_options(options or {})
         setup = config.setup(self._manifest)
         count = config.num_envs
         seeds = list(range(self._next_seed, self._next_seed + count)) if seed is None else [int(s) for s in seed]
@@ -148,10 +148,10 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         if setup != self._setup:
             self.close()
         self._config, self._setup = config, setup
-        if not self._places:
-            self._places = [self._place(setup, index) for index in range(count)]
+        if not self._envs:
+            self._envs = [self._make_env(setup, index) for index in range(count)]
         self._last = {}
-        for env, number in zip(self._places, seeds):
+        for env, number in zip(self._envs, seeds):
             env.reset(number)
         self._begun = True
         self._next_seed = seeds[-1] + 1
@@ -160,22 +160,22 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
         """Return the observation of the only environment.
 
         Raises:
-            ValueError: there are several; use `get_obs_batch`.
+            ValueError: there are several environments; use `get_obs_batch`.
         """
-        index = self._single()
-        self._last[index] = seen = self._env(index).observe()
-        return seen
+        index = self._only_index()
+        self._last[index] = obs = self._env(index).observe()
+        return obs
 
     def get_obs_batch(
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks pass it by position
     ) -> list[ObservationDict]:
-        """Return the observations of some environments, in the order asked for.
+        """Return the observations of some environments, in the order of the list.
 
         Args:
-            env_idx_list: which; None for all that are running.
-            last_frame: return each environment's last observation again, where there is one, and render nothing.
+            env_idx_list: indices of environments; None for all that are running.
+            last_frame: return each environment's last observation again, if there is one, without rendering.
         """
         chosen = self.get_running_env_idx_list() if env_idx_list is None else list(env_idx_list)
         for index in chosen:
@@ -185,14 +185,14 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
 
     def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment; return its report (see `take_action_batch`)."""
-        return self._env(self._single()).step(action)
+        return self._env(self._only_index()).step(action)
 
     def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
         """Execute one action step in each of some environments.
 
         Returns:
-            one report per action: ``env_idx``, ``step`` (steps executed so far), ``end_reason`` (None while running)
-            and ``corrections``, what had to be changed (see `xpl.episode.Corrections`).
+            One report per action: ``env_idx``, ``step`` (steps executed so far), ``end_reason`` (None while running)
+            and ``corrections`` of the command (see `xpl.episode.Corrections`).
 
         Raises:
             ActionError: an action has the wrong keys or dimensions; environments before it in the list have moved.
@@ -212,42 +212,47 @@ class EnvironmentBase(ABC, Generic[PlaceT]):
 
     def get_running_env_idx_list(self) -> list[int]:
         """Return the indices of the environments whose episode goes on."""
-        self._started()
-        return [index for index, env in enumerate(self._places) if env.end_reason is None]
+        self._require_started()
+        return [index for index, env in enumerate(self._envs) if env.end_reason is None]
 
     def results(self) -> list[Result]:
-        """Return the outcome of every environment's episode so far (see `Referee.result`)."""
-        self._started()
-        return [env.result() for env in self._places]
+        """Return the outcome of every environment's episode so far (see `EpisodeRunner.result`)."""
+        self._require_started()
+        return [env.result() for env in self._envs]
 
     def close(self) -> None:
         """Release all simulators."""
-        for env in self._places:
+        for env in self._envs:
             env.close()
-        self._places, self._last, self._begun = [], {}, False
+        self._envs, self._last, self._begun = [], {}, False
 
     @abstractmethod
-    def _place(self, setup: Setup, index: int) -> PlaceT:
-        """Make what plays the episodes of one environment."""
+    def _make_env(self, setup: Setup, index: int) -> SingleEnvT:
+        """Make one environment.
 
-    def _single(self) -> int:
+        Args:
+            setup: the checked configuration.
+            index: index of the environment, from 0.
+        """
+
+    def _only_index(self) -> int:
         if self._config.num_envs != 1:
             raise ValueError(f"there are {self._config.num_envs} environments; use get_obs_batch and take_action_batch")
         return 0
 
-    def _env(self, index: int) -> PlaceT:
-        self._started()
-        if not 0 <= index < len(self._places):
-            raise ValueError(f"there is no environment {index}; indices go from 0 to {len(self._places) - 1}")
-        return self._places[index]
+    def _env(self, index: int) -> SingleEnvT:
+        self._require_started()
+        if not 0 <= index < len(self._envs):
+            raise ValueError(f"there is no environment {index}; indices go from 0 to {len(self._envs) - 1}")
+        return self._envs[index]
 
-    def _started(self) -> None:
+    def _require_started(self) -> None:
         if not self._begun:
             raise RuntimeError("no episode has begun: call reset first")
 
 
-class Environment(EnvironmentBase[Referee]):
-    """The environments of an author's `Episode`: its referees keep the robot's limits.
+class Environment(EnvironmentBase[EpisodeRunner]):
+    """The environments of an author's `Episode`, with the robot's limits enforced.
 
     Args:
         episode: makes the simulator of one environment, for example a subclass of `Episode`.
@@ -263,41 +268,41 @@ class Environment(EnvironmentBase[Referee]):
         super().__init__(manifest, config)
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> NDArray[np.uint8]:
-        """Return what a camera of env.yml sees now, (H, W, 3) uint8 RGB, for people; the first one by default.
+        """Return the current image of a camera of env.yml, (H, W, 3) uint8 RGB; the first camera by default.
 
         Raises:
             ValueError: there is no such camera.
         """
-        seen = self._env(env_idx).vision()
-        name = next(iter(seen), None) if camera is None else camera
-        one_of("camera", name, seen)
-        image: NDArray[np.uint8] = seen[str(name)][spec.Camera.COLOR]
+        images = self._env(env_idx).vision()
+        name = next(iter(images), None) if camera is None else camera
+        one_of("camera", name, images)
+        image: NDArray[np.uint8] = images[str(name)][spec.Camera.COLOR]
         return image
 
     def simulated(self, env_idx: int = 0) -> Simulated | None:
-        """Return what a simulator says for itself, for a bridge (`xpl.bridge`); None if its episode does not."""
+        """Return the simulator's own observation and command, for `xpl.bridge`; None if the episode has none."""
         return self._env(env_idx).simulated()
 
-    def _place(self, setup: Setup, index: int) -> Referee:
-        return Referee(self._make(setup), index)
+    def _make_env(self, setup: Setup, index: int) -> EpisodeRunner:
+        return EpisodeRunner(self._make(setup), index)
 
 
 def require(module: str, folder: str | Path) -> None:
-    """Check that a benchmark's own code is there; to be called before anything of it is imported.
+    """Check that a benchmark's own code is installed; call it before importing any of it.
 
     Args:
-        module: what would be imported.
+        module: name of its top-level module.
         folder: the environment package's, or a file in it, such as ``__file__`` of its client.
 
     Raises:
-        NotInstalledError: it is not.
+        NotInstalledError: the module is not installed.
     """
     if importlib.util.find_spec(module) is None:
         path = Path(folder)
         name = (path if path.is_dir() else path.parent).name
         raise NotInstalledError(
-            f"{sys.executable} has no {module}, which {name} plays with: `xpl install {name}` makes a Python that "
-            "has it"
+            f"{sys.executable} has no {module}, which {name} needs: `xpl install {name}` makes a Python environment "
+            "that has it"
         )
 
 
@@ -316,5 +321,5 @@ def read_manifest(folder: str | Path) -> EnvManifest:
     except ImportError:
         raise RuntimeError("reading env.yml takes PyYAML: pip install PyYAML in the environment's Python") from None
     text = ((path if path.is_dir() else path.parent) / "env.yml").read_text(encoding="utf-8")
-    # libyaml's loader, where PyYAML was built with it, takes a tenth of the time.
+    # libyaml's loader, if PyYAML has it, takes a tenth of the time.
     return EnvManifest.parse(yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)))  # noqa: S506

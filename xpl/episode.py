@@ -1,4 +1,4 @@
-"""One environment, one episode after the other: what an author writes, and the supervision around it."""
+"""Episodes of one environment: the class that an author implements, and its runner."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.action import ActionError
-from xpl.safety import NON_FINITE, Supervisor, Verdict
+from xpl.safety import NON_FINITE, SafetyVerdict, Supervisor
 
 if TYPE_CHECKING:
     from xpl.contract import Action, Entry, ObservationDict, Report, Result, State
@@ -28,24 +28,24 @@ END_REASON, CORRECTIONS = "end_reason", "corrections"
 _FLOAT64, _FLOAT32 = np.dtype(np.float64), np.dtype(np.float32)
 
 Corrections = dict[str, dict[str, float]]
-"""How commands differed from what was executed in one control step: by arm prefix, the largest amount of each kind.
+"""Differences between commanded and executed action of one control step: largest amount by arm prefix and kind.
 
-An arm whose command was executed as given does not appear. Kinds are those of `xpl.safety.Correction` and the
-environment's own.
+An arm whose command was executed unchanged is left out. Kinds are those of `xpl.safety.Correction` and of the
+environment.
 """
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What an environment plays: the configuration, checked, and the facts of env.yml that go with it.
+    """The checked configuration of an environment, with env.yml.
 
     Attributes:
         task: a task of env.yml.
         embodiment: the robot.
         action_type: "joint" or "ee".
         max_steps: control steps after which an episode ends.
-        cameras: True for pictures of the environment's own size, False for none, or (height, width).
-        privileged: whether observations show the simulator's truth.
+        cameras: True for images of the environment's default size, False for none, or (height, width) in pixels.
+        privileged: whether observations contain the simulator's ground truth.
         setting: a setting of env.yml.
         manifest: env.yml.
     """
@@ -61,22 +61,22 @@ class Setup:
 
     @property
     def facts(self) -> Entry:
-        """The task's entry of env.yml as it is written, with what only this environment reads."""
+        """The task's entry of env.yml as written, with keys that only this environment reads."""
         return self.manifest.tasks[self.task].data
 
     @property
     def frequency(self) -> float:
-        """Control steps per second: the task's own, or that of the environment."""
+        """Control rate, Hz: the task's own, or the environment's."""
         return self.manifest.frequency(self.task)
 
 
 @dataclass(frozen=True)
 class Simulated:
-    """What an environment's simulator says for itself, before anything is converted.
+    """A simulator's own observation and command, before any conversion.
 
     Attributes:
-        observation: what it observes now, as it gives it to anybody.
-        command: (N,) what it was told in the last control step, in its own units and order; None before the first.
+        observation: the simulator's current observation.
+        command: (N,) its command of the last control step, in its own units and order; None before the first.
     """
 
     observation: Any
@@ -84,13 +84,13 @@ class Simulated:
 
 
 class Episode(ABC):
-    """A simulator with one robot and one task: what the author of an environment writes.
+    """A simulator with one robot and one task; the author of an environment implements it.
 
-    One object plays many episodes, one after the other; `reset` leaves nothing of the one before. Actions come checked
-    and within the robot's limits.
+    One object runs many episodes in sequence; `reset` clears all state. Actions are checked and within the robot's
+    limits.
 
     Args:
-        setup: what is played.
+        setup: the checked configuration.
     """
 
     def __init__(self, setup: Setup) -> None:
@@ -98,7 +98,7 @@ class Episode(ABC):
 
     @abstractmethod
     def reset(self, seed: int) -> None:
-        """Begin an episode; the seed alone decides everything that varies."""
+        """Begin an episode; the seed alone determines all that is random."""
 
     @abstractmethod
     def state(self) -> State:
@@ -112,12 +112,12 @@ class Episode(ABC):
             action: targets, float32 arrays by the keys of the action type.
 
         Returns:
-            what had to be changed besides the robot's own limits, by arm prefix and kind; None for nothing.
+            Corrections besides the robot's own limits: amount by arm prefix and kind; None for none.
         """
 
     @abstractmethod
     def score(self) -> float:
-        """Return how much of the task is done: 0 to 1, and 1 is success, which ends the episode."""
+        """Return the progress of the task, 0..1; 1 is success and ends the episode."""
 
     @property
     def instruction(self) -> str:
@@ -125,36 +125,36 @@ class Episode(ABC):
         return str(self.setup.facts[spec.Obs.INSTRUCTION])
 
     def vision(self) -> Mapping[str, Mapping[str, Any]]:
-        """Return what each camera sees now; not called where nobody wants pictures."""
+        """Return the current image of each camera; not called if the configuration has no cameras."""
         return {}
 
     def truth(self) -> Mapping[str, Any]:
-        """Return what a policy cannot know, such as poses of objects: numbers, texts, arrays, maps and lists of them.
+        """Return the ground truth that a policy cannot observe, such as object poses: numbers, text, arrays, maps.
 
-        Shown where privileged observations are asked for, and part of the digest.
+        Part of privileged observations, and of the digest.
         """
         return {}
 
     def end_reason(self) -> str | None:
-        """Return why the episode cannot go on, besides success and the step limit; None if it can."""
+        """Return the reason why the episode ends, other than success and the step limit; None if it goes on."""
         return None
 
     def simulated(self) -> Simulated | None:
-        """Return what the simulator says for itself, for a bridge (`xpl.bridge`); None if nobody can tell.
+        """Return the simulator's own observation and command, for `xpl.bridge`; None if they are not available.
 
-        Nothing of it may be converted: the authors' client of a policy reads the one and commands the other.
+        Both must be unconverted: the authors' client reads the observation and returns such a command.
         """
         return None
 
     def close(self) -> None:  # noqa: B027 - most have nothing to release
-        """Release what the simulator holds."""
+        """Release the simulator's resources."""
 
 
-class Referee:
-    """Plays the episodes of one environment: bounds actions, counts steps, notes corrections, ends episodes, digests.
+class EpisodeRunner:
+    """Runs the episodes of one environment: limits actions, counts steps and corrections, ends episodes.
 
     Args:
-        episode: the author's.
+        episode: the author's episode.
         env_idx: index of the environment.
     """
 
@@ -162,7 +162,7 @@ class Referee:
         self._episode, self._env_idx = episode, env_idx
         setup = episode.setup
         self._frequency = setup.frequency
-        # Where a robot starts is the author's choice, and a simulator may be told any pose.
+        # The author chooses the start pose, and a simulator accepts any first command.
         self._safety = Supervisor(setup.embodiment, setup.action_type, setup.frequency, first_steps=math.inf)
 
     def reset(self, seed: int) -> None:
@@ -174,10 +174,10 @@ class Referee:
         self.end_reason: str | None = None
         state = self._episode.state()
         self._safety.begin({spec.Obs.STATE: state})
-        self._note(state)
+        self._add_to_digest(state)
 
     def observe(self) -> ObservationDict:
-        """Return the present observation; a new one each time, which the caller may change."""
+        """Return the current observation, a new map that the caller may change."""
         episode, setup = self._episode, self._episode.setup
         result: ObservationDict = {
             spec.Obs.DATA_FORMAT_VERSION: spec.DATA_FORMAT_VERSION,
@@ -195,7 +195,7 @@ class Referee:
         """Execute one action step, unless the episode has ended; return the step's report.
 
         Raises:
-            ActionError: the step is not one of embodiment and action type. Nothing has moved then.
+            ActionError: the step does not fit embodiment and action type. Nothing was executed.
         """
         if not isinstance(action, Mapping):
             raise ActionError(f"an action step must be a map of arrays, got {type(action).__name__}")
@@ -203,32 +203,32 @@ class Referee:
             self._safety.read(action)
             return self._report({})
         verdict = self._safety.check(action)
-        if verdict.held == NON_FINITE:
-            # No simulator sees the value: a NaN in a command spreads through a whole state.
+        if verdict.hold_reason == NON_FINITE:
+            # Not passed to the simulator: a NaN in a command spreads through the whole state.
             self.end_reason = NON_FINITE
             return self._report({})
         corrections = _by_arm(verdict)
         step = {key: np.asarray(value, dtype=_FLOAT32) for key, value in verdict.action.items()}
-        for prefix, found in (self._episode.step(step) or {}).items():
-            corrections.setdefault(prefix, {}).update(found)
+        for prefix, extra in (self._episode.step(step) or {}).items():
+            corrections.setdefault(prefix, {}).update(extra)
         self._steps += 1
         state = self._episode.state()
-        self._note(state)
-        self._judge(state)
+        self._add_to_digest(state)
+        self._update_outcome(state)
         if corrections:
             self._corrections.update(kind for kinds in corrections.values() for kind in kinds)
         return self._report(corrections)
 
     def vision(self) -> dict[str, Mapping[str, Any]]:
-        """Return what each camera sees now, whether or not observations show it."""
+        """Return the current image of each camera, also if observations have none."""
         return dict(self._episode.vision())
 
     def simulated(self) -> Simulated | None:
-        """Return what the simulator says for itself; None if it does not."""
+        """Return the simulator's own observation and command; None if they are not available."""
         return self._episode.simulated()
 
     def result(self) -> Result:
-        """Return the episode's outcome so far: plain values, ready for a report."""
+        """Return the episode's outcome so far, as plain values."""
         return {
             spec.Obs.ENV_IDX: self._env_idx,
             "task": self._episode.setup.task,
@@ -243,14 +243,14 @@ class Referee:
         }
 
     def close(self) -> None:
-        """Release what the simulator holds."""
+        """Release the simulator's resources."""
         self._episode.close()
 
-    def _note(self, state: State) -> None:
-        """Add the present state to the digest, and the truth about it."""
-        self._digest.update(b"".join((*_digested(state), *_digested(self._episode.truth()))))
+    def _add_to_digest(self, state: State) -> None:
+        """Add the current state and ground truth to the digest."""
+        self._digest.update(b"".join((*_digest_parts(state), *_digest_parts(self._episode.truth()))))
 
-    def _judge(self, state: State) -> None:
+    def _update_outcome(self, state: State) -> None:
         self._score = min(max(float(self._episode.score()), 0.0), SUCCESS_SCORE)
         if not _is_finite(state):
             self.end_reason = NON_FINITE_STATE
@@ -270,43 +270,43 @@ class Referee:
         }
 
 
-def _by_arm(verdict: Verdict) -> Corrections:
+def _by_arm(verdict: SafetyVerdict) -> Corrections:
     result: Corrections = {}
-    for found in verdict.corrections:
-        kinds = result.setdefault(found.prefix, {})
-        kinds[found.kind] = max(found.amount, kinds.get(found.kind, 0.0))
+    for correction in verdict.corrections:
+        kinds = result.setdefault(correction.prefix, {})
+        kinds[correction.kind] = max(correction.amount, kinds.get(correction.kind, 0.0))
     return result
 
 
 def _is_finite(state: State) -> bool:
-    # A robot has few numbers: one by one they cost less than what numpy does before the first.
+    # Faster than numpy for so few numbers.
     for value in state.values():  # noqa: SIM110 - a generator costs as much as the rest
         if not all(map(math.isfinite, np.asarray(value).ravel().tolist())):
             return False
     return True
 
 
-def _digested(value: object) -> list[bytes]:
-    """Return a value as a digest takes it: maps by sorted keys, numbers and arrays as float64, others part by part."""
+def _digest_parts(value: object) -> list[bytes]:
+    """Return the bytes of a value in a digest: maps by sorted keys, numbers and arrays as float64, others by item."""
     if isinstance(value, Mapping):
-        found: list[bytes] = []
+        parts: list[bytes] = []
         for key in sorted(value):
             part = value[key]
-            found.append(_word(key))
+            parts.append(_digest_key(key))
             if type(part) is np.ndarray and part.dtype is _FLOAT64:  # what most are
-                found += (_word(part.shape), part.tobytes())
+                parts += (_digest_key(part.shape), part.tobytes())
             else:
-                found += _digested(part)
-        return found
+                parts += _digest_parts(part)
+        return parts
     array = np.asarray(value)
     if array.dtype.kind in "biuf":
-        return [_word(array.shape), array.astype(np.float64).tobytes()]
+        return [_digest_key(array.shape), array.astype(np.float64).tobytes()]
     if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
-        return [each for part in value for each in _digested(part)]
+        return [each for part in value for each in _digest_parts(part)]
     return [f"{value}\0".encode()]
 
 
 @functools.lru_cache(maxsize=1024, typed=True)
-def _word(value: Hashable) -> bytes:
-    """Return a key or a shape as a digest takes it; the same few come in every control step."""
+def _digest_key(value: Hashable) -> bytes:
+    """Return the bytes of a key or a shape in a digest; cached, because they repeat at every control step."""
     return f"{value}\0".encode()

@@ -1,7 +1,7 @@
-"""Environment numbers of several clients that share a model, and the episode that each client is in.
+"""Environment indices of clients that share a model, and the episode count of each client.
 
-Client k calls its environments 0, 1, ...; the model knows them as k * client_envs + 0, ... (`limits.client_envs` of
-spec/v1/wire.yml). A client that has a model to itself is client 0.
+Environment i of client k has the index k * client_envs + i in the model (`limits.client_envs` of spec/v1/wire.yml). The
+only client of a model is client 0.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ from collections.abc import Iterable
 from xpl import _spec as spec
 
 CLIENT_ENVS: int = spec.LIMITS["client_envs"]
-"""Environments that one client may have."""
+"""Most environments of one client."""
 
 
 def shared_index(client: int, env: int) -> int:
-    """Return the number by which a shared model knows environment `env` of a client."""
+    """Return the index in a shared model of environment `env` of a client."""
     return client * CLIENT_ENVS + env
 
 
 def own_index(env: int) -> int:
-    """Return what its client calls an environment of a shared model."""
+    """Return the client's own index of an environment of a shared model."""
     return env % CLIENT_ENVS
 
 
 class EpisodeCounter:
-    """Counts episodes by client: a reset ends one in which something was observed, and no other."""
+    """Counts episodes by client: a reset ends an episode only if something was observed in it."""
 
     def __init__(self) -> None:
         self._counts: dict[int, int] = {}
         self._observed: set[int] = set()
 
     def observe(self, envs: Iterable[int]) -> None:
-        """Note that environments were observed."""
+        """Record that environments were observed."""
         self._observed.update(env // CLIENT_ENVS for env in envs)
 
     def reset(self, envs: Iterable[int]) -> None:
-        """End the episode of the clients of these environments; one that resets twice keeps its seeds."""
+        """End the episode of the clients of these environments; a second reset changes nothing."""
         ended = {env // CLIENT_ENVS for env in envs} & self._observed
         for client in ended:
             self._counts[client] = self._counts.get(client, 0) + 1

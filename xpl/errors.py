@@ -1,11 +1,11 @@
-"""What is wrong with a model_io block, or with values that it is to convert."""
+"""Errors of a model_io block and of its conversions."""
 
 from __future__ import annotations
 
 
 class ConversionError(ValueError):
-    """A model_io block that cannot be compiled, or values that do not fit it; the text says where and what to do."""
+    """A model_io block cannot be compiled, or values do not fit it; the text says where and what to do."""
 
 
-class OpenError(ConversionError):
-    """A model_io block that leaves values open which conversions need."""
+class UnknownValueError(ConversionError):
+    """A model_io block has unknown values that conversions need."""

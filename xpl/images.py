@@ -1,7 +1,7 @@
-"""Image codec of the serving layer and the data tools (extra `images`). An adapter never decodes.
+"""Image codec of the serving layer and the data tools (extra `images`). Adapters get decoded images.
 
-JPEGs come in two byte formats: standard ones, stamped with a COM segment `XPL-RGB1`, and legacy ones without it, in
-which red and blue are exchanged. Decoders return RGB for both. PNG and other formats have no legacy form.
+There are two kinds of JPEG: standard ones, marked by a COM segment `XPL-RGB1`, and legacy ones without it, in which red
+and blue are exchanged. Decoders return RGB for both. PNG and other formats have no legacy form.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SOI, _SOS, _COM = b"\xff\xd8", 0xDA, 0xFE
 _STANDALONE = frozenset((0x01, *range(0xD0, 0xD9)))
 DEFAULT_QUALITY = 95
 
-# Not all that Pillow knows: its EPS reader, for example, starts another program on what came over the wire.
+# Not all formats of Pillow: its EPS reader, for example, starts another program on untrusted input.
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 PIXELS = 1 << 25
 """Largest image that is decoded, a little over 8K video: a small file can unpack to gigabytes."""
@@ -37,7 +37,7 @@ _FRAMES = frozenset((*range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC),
 
 
 def encode_jpeg(image: np.ndarray, quality: int = DEFAULT_QUALITY) -> bytes:
-    """Return a standard JPEG, stamped with the marker, of an (H, W, 3) uint8 RGB image."""
+    """Return a standard JPEG, with the marker, of an (H, W, 3) uint8 RGB image."""
     target = io.BytesIO()
     _pillow().fromarray(_rgb(image)).save(target, "JPEG", quality=quality, comment=spec.JPEG_MARKER)
     return target.getvalue()
@@ -51,34 +51,34 @@ def encode_png(image: np.ndarray) -> bytes:
 
 
 def size_of(data: Encoded) -> tuple[int, int]:
-    """Return width and height of an encoded image from its header; nothing is decoded, and no memory taken for it.
+    """Return (width, height) of an encoded image from its header, without decoding.
 
     Raises:
-        ObservationError: if the bytes are not an image, or one of more than `PIXELS` pixels.
+        ObservationError: the bytes are no image, or one of more than `PIXELS` pixels.
     """
     raw = _raw(data)
     reader = next((reader for begins, reader in _READERS if raw.startswith(begins)), None)
-    found = None if reader is None else reader(raw)
-    if reader is not None and found is None:
+    size = None if reader is None else reader(raw)
+    if reader is not None and size is None:
         raise ObservationError(f"{len(raw)} bytes do not decode as an image: its header is damaged, or not read here")
-    if found is None:
+    if size is None:
         try:
             with _pillow().open(io.BytesIO(raw), formats=_FORMATS) as opened:
-                found = opened.size
+                size = opened.size
         except ImportError:
             raise
         except Exception as error:  # noqa: BLE001 - Pillow's readers raise almost anything on damaged files
             raise ObservationError(f"{len(raw)} bytes do not decode as an image: {error!s:.200}") from None
-    if found[0] * found[1] > PIXELS:
-        raise ObservationError(f"an encoded image has {found[0] * found[1]} pixels, more than {PIXELS}")
-    return found
+    if size[0] * size[1] > PIXELS:
+        raise ObservationError(f"an encoded image has {size[0] * size[1]} pixels, more than {PIXELS}")
+    return size
 
 
 def decode(data: Encoded) -> np.ndarray:
     """Return the (H, W, 3) uint8 RGB image of an encoded one; trailing NUL padding is ignored.
 
     Raises:
-        ObservationError: if the bytes are not an image, or one of more than `PIXELS` pixels.
+        ObservationError: the bytes are no image, or one of more than `PIXELS` pixels.
     """
     raw = _raw(data)
     size = size_of(raw)
@@ -99,7 +99,7 @@ def decode(data: Encoded) -> np.ndarray:
 
 
 def has_marker(jpeg: bytes) -> bool:
-    """Tell whether a JPEG carries the marker of the standard: walks its segments up to the start of scan."""
+    """Return whether a JPEG has the marker of the standard, in a segment before the start of scan."""
     return any(kind == _COM and segment.rstrip(b"\0") == spec.JPEG_MARKER for kind, segment in _segments(jpeg))
 
 
@@ -123,10 +123,10 @@ def _segments(jpeg: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def pixels_of(value: object) -> int:
-    """Return how many pixels the encoded colour images of an observation have, or those of a list of them, in all.
+    """Return the number of pixels of all encoded colour images of an observation, or of a list of them.
 
     Raises:
-        ObservationError: if one is no image, or larger than may be.
+        ObservationError: one is no image, or too large.
     """
     if isinstance(value, list):
         return sum(map(pixels_of, value))
@@ -137,7 +137,7 @@ def pixels_of(value: object) -> int:
 
 
 def has_encoded(value: object) -> bool:
-    """Tell whether an observation, or one of a list of them, has encoded colour images."""
+    """Return whether an observation, or one of a list of them, has encoded colour images."""
     if isinstance(value, list):
         return any(map(has_encoded, value))
     vision = value.get(spec.Obs.VISION) if isinstance(value, Mapping) else None
@@ -145,7 +145,7 @@ def has_encoded(value: object) -> bool:
 
 
 def decode_observation(obs: object) -> Any:
-    """Return the observation with every encoded colour image replaced by its RGB array; nothing is changed in place."""
+    """Return a copy of the observation with every encoded colour image replaced by its RGB array."""
     if not isinstance(obs, Mapping) or not isinstance(obs.get(spec.Obs.VISION), Mapping):
         return obs
     vision = {name: _decoded_camera(camera) for name, camera in obs[spec.Obs.VISION].items()}
@@ -187,12 +187,12 @@ def _png_size(raw: bytes) -> tuple[int, int] | None:
 
 def _jpeg_size(raw: bytes) -> tuple[int, int] | None:
     """Return width and height in the frame header of a JPEG, None if it has none (ITU-T T.81, B.2.2)."""
-    found = None
+    size = None
     for kind, segment in _segments(raw):
         if kind in _FRAMES and len(segment) >= 5:
-            found = int.from_bytes(segment[3:5], "big"), int.from_bytes(segment[1:3], "big")
+            size = int.from_bytes(segment[3:5], "big"), int.from_bytes(segment[1:3], "big")
         if kind == _SOS:
-            return found
+            return size
     return None
 
 

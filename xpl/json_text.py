@@ -1,4 +1,4 @@
-"""JSON that others wrote, within bounds: every file, line and attribute of a third party is parsed here."""
+"""Parser of untrusted JSON with limits, for every file, line and attribute of a third party."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ import re
 from typing import Any
 
 MOST_LEVELS = 64
-"""Lists and maps in each other, which no honest document comes near, and what walks through values can hold."""
+"""Most levels of nested lists and maps."""
 _LONGEST = 200
 _DIGITS = 20
 
 
 class JsonError(ValueError):
-    """A text that is no JSON, or none that is taken; says why in one sentence."""
+    """A text is no JSON, or exceeds a limit; the message is one sentence."""
 
 
-class NotJsonError(JsonError):
-    """A text that is no JSON at all."""
+class InvalidJsonError(JsonError):
+    """A text is no JSON."""
 
 
 def parse(text: str | bytes, *, finite: bool = False) -> Any:
@@ -31,7 +31,7 @@ def parse(text: str | bytes, *, finite: bool = False) -> Any:
             one reader takes the first and another the last.
 
     Raises:
-        NotJsonError: the text is no JSON, or its bytes are no UTF-8.
+        InvalidJsonError: the text is no JSON, or its bytes are no UTF-8.
         JsonError: it is nested more than 64 levels deep, has an integer of too many digits or half of a surrogate
             pair, or, with `finite`, a number that is not finite or too large, or a key twice in one map.
     """
@@ -41,7 +41,7 @@ def parse(text: str | bytes, *, finite: bool = False) -> Any:
     except JsonError:
         raise
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise NotJsonError(f"it is not JSON: {str(error)[:_LONGEST]}") from None
+        raise InvalidJsonError(f"it is not JSON: {str(error)[:_LONGEST]}") from None
     except RecursionError:
         raise JsonError(f"it is nested more than {MOST_LEVELS} levels deep") from None
     except ValueError:

@@ -48,12 +48,12 @@ class KinematicsError(ValueError):
 
 @dataclass(frozen=True)
 class Solution:
-    """What inverse kinematics found.
+    """Result of inverse kinematics.
 
     Attributes:
         joints: (dof,) float64, rad, always within the limits.
-        converged: whether both errors are within the tolerances asked for. If not, `joints` is the nearest
-            configuration found and the errors say how far it is from the target.
+        converged: whether both errors are within the tolerances. If not, `joints` is the nearest configuration
+            found, and the errors are its distance from the target.
         position_error: distance to the target, m.
         rotation_error: angle to the target, rad.
         iterations: steps taken.
@@ -132,8 +132,8 @@ class Chain:
         _, _, position, turn = self._forward(self._angles(joints))
         return np.array(position + turn)
 
-    def places(self, joints: ArrayLike) -> NDArray[np.float64]:
-        """Return where the joints and the flange are in the base, (dof + 1, 3), for joint angles (dof,)."""
+    def points(self, joints: ArrayLike) -> NDArray[np.float64]:
+        """Return the positions of joints and flange in the base, (dof + 1, 3) m, for joint angles (dof,)."""
         origins, _, position, _ = self._forward(self._angles(joints))
         return np.array([*origins, position])
 
@@ -173,8 +173,8 @@ class Chain:
         Raises:
             KinematicsError: the target or the start has the wrong shape or is not finite.
         """
-        wanted = _checked_pose(flange)
-        target, goal = (wanted[0], wanted[1], wanted[2]), (wanted[3], wanted[4], wanted[5], wanted[6])
+        values = _checked_pose(flange)
+        target, goal = (values[0], values[1], values[2]), (values[3], values[4], values[5], values[6])
         limits = list(zip(self.lower.tolist(), self.upper.tolist()))
         angles = [min(max(angle, low), high) for angle, (low, high) in zip(self._angles(start), limits)]
         best, best_cost, best_errors = angles, math.inf, (math.inf, math.inf)
@@ -204,13 +204,18 @@ class Chain:
         )
 
     def search(self, flange: ArrayLike, start: ArrayLike, *, attempts: int = 8) -> Solution:
-        """Find joint angles as `solve` does, trying further starting points until one converges.
+        """Find joint angles like `solve`, from further starting points until one converges.
 
         For planning, where a jump of configuration does not matter. The points are fixed (home, then a low-discrepancy
-        sequence over the limits), so that equal questions have equal answers.
+        sequence over the limits), so the result is deterministic.
+
+        Args:
+            flange: target pose (7,) in the base: m, unit quaternion, w first.
+            start: joint angles (dof,) of the first attempt, rad.
+            attempts: most further starting points.
 
         Returns:
-            the first solution that converged, else the one with the least error.
+            The first solution that converged, else the one with the least error.
         """
         best = self.solve(flange, start)
         for attempt in range(attempts):
@@ -339,8 +344,8 @@ def _step(
         for index in range(size):
             if index not in free and change[index]:
                 rest = [value - change[index] * entry for value, entry in zip(rest, columns[index])]
-        found = _damped_least_squares([columns[index] for index in free], rest, damping)
-        for index, value in zip(free, found):
+        solution = _damped_least_squares([columns[index] for index in free], rest, damping)
+        for index, value in zip(free, solution):
             change[index] = value
         outside = [index for index in free if not limits[index][0] <= angles[index] + change[index] <= limits[index][1]]
         if not outside:

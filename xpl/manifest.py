@@ -1,7 +1,7 @@
-"""Manifests as objects: what policy.yml and env.yml say, read once where a file or a message comes in.
+"""Manifests as objects: policy.yml and env.yml, parsed once where a file or a message is read.
 
-A key that is missing, or whose value has another type, has its default here: the schema says what is wrong with a
-document (`xpl spec validate`), and no reader has to ask again. tests/sdk/test_manifest.py holds the fields and defaults
+A key that is missing, or whose value has the wrong type, has its default; the schema reports errors of a document
+(`xpl spec validate`). tests/sdk/test_manifest.py holds the fields and defaults
 against `spec/`.
 """
 
@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from xpl import robots
 from xpl._spec import MODEL_CLASS
-from xpl.assumptions import Assumption, assumptions, settled
-from xpl.document import Document, many, named, one, part
+from xpl.assumptions import Assumption, assumptions, resolve_assumptions
+from xpl.document import Document, list_field, map_field, nested_field, value_field
 from xpl.history import History
 
 if TYPE_CHECKING:
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
 class Temporal(Document):
     """How past and future enter. `history` counts observations, `chunk` action steps of one answer."""
 
-    kind: str | None = one(str)
-    chunk: int | None = one(int)
-    history: int = one(int, 1)
-    ensembling: float | None = one(float)
+    kind: str | None = value_field(str)
+    chunk: int | None = value_field(int)
+    history: int = value_field(int, 1)
+    ensembling: float | None = value_field(float)
 
 
 @dataclass(frozen=True)
 class Inputs(Document):
     """Observation fields by name (`state.ee_pose`, `vision.cam_head`): needed, used where there, ignored."""
 
-    required: tuple[str, ...] = many(str)
-    optional: tuple[str, ...] = many(str)
-    unused: tuple[str, ...] = many(str)
+    required: tuple[str, ...] = list_field(str)
+    optional: tuple[str, ...] = list_field(str)
+    unused: tuple[str, ...] = list_field(str)
 
     @property
     def read(self) -> tuple[str, ...]:
@@ -49,22 +49,22 @@ class Inputs(Document):
 class CheckpointFile(Document):
     """One file of a checkpoint: relative path, SHA-256 and bytes where declared."""
 
-    path: str = one(str, "")
-    sha256: str | None = one(str)
-    size: int | None = one(int)
+    path: str = value_field(str, "")
+    sha256: str | None = value_field(str)
+    size: int | None = value_field(int)
 
 
 @dataclass(frozen=True)
 class Checkpoint(Document):
     """Weights that `xpl checkpoint fetch` brings; `data` is the entry as it is written."""
 
-    name: str = one(str, "")
-    source: str = one(str, "")
-    revision: str | None = one(str)
-    sha256: str | None = one(str)
-    size: int | None = one(int)
-    license: str | None = one(str)
-    files: tuple[CheckpointFile, ...] = many(CheckpointFile)
+    name: str = value_field(str, "")
+    source: str = value_field(str, "")
+    revision: str | None = value_field(str)
+    sha256: str | None = value_field(str)
+    size: int | None = value_field(int)
+    license: str | None = value_field(str)
+    files: tuple[CheckpointFile, ...] = list_field(CheckpointFile)
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
 
@@ -72,75 +72,75 @@ class Checkpoint(Document):
 class PythonEnvironment(Document):
     """Where a package's interpreter comes from; manager `none` is the tool's own."""
 
-    manager: str = one(str, "none")
-    python: str | None = one(str)
-    name: str | None = one(str)
-    requirements: tuple[str, ...] = many(str)
-    lock: str | None = one(str)
+    manager: str = value_field(str, "none")
+    python: str | None = value_field(str)
+    name: str | None = value_field(str)
+    requirements: tuple[str, ...] = list_field(str)
+    lock: str | None = value_field(str)
 
 
 @dataclass(frozen=True)
 class Serving(Document):
     """Whether several clients may share one model, and the largest batch of it (None: no limit)."""
 
-    shared: bool = one(bool, default=False)
-    max_batch: int | None = one(int)
+    shared: bool = value_field(bool, default=False)
+    max_batch: int | None = value_field(int)
 
 
 @dataclass(frozen=True)
 class Shadow(Document):
     """What `predict` returns without the model: shape (H, D) and range (low, high); empty where not declared."""
 
-    shape: tuple[int, ...] = many(int)
-    range: tuple[float, ...] = many(float)
+    shape: tuple[int, ...] = list_field(int)
+    range: tuple[float, ...] = list_field(float)
 
 
 @dataclass(frozen=True)
 class Claim(Document):
     """A success rate that the author claims, 0 to 1."""
 
-    environment: str = one(str, "")
-    task: str = one(str, "")
-    embodiment: str | None = one(str)
-    action_type: str | None = one(str)
-    setting: str | None = one(str)
-    success_rate: float = one(float, 0.0)
-    episodes: int | None = one(int)
+    environment: str = value_field(str, "")
+    task: str = value_field(str, "")
+    embodiment: str | None = value_field(str)
+    action_type: str | None = value_field(str)
+    setting: str | None = value_field(str)
+    success_rate: float = value_field(float, 0.0)
+    episodes: int | None = value_field(int)
 
 
 @dataclass(frozen=True)
 class Waiver(Document):
     """A rule whose findings the author accepts, with the reason."""
 
-    rule: str = one(str, "")
-    reason: str = one(str, "")
-    message: str | None = one(str)
+    rule: str = value_field(str, "")
+    reason: str = value_field(str, "")
+    message: str | None = value_field(str)
 
 
 @dataclass(frozen=True)
 class CameraNeeds(Document):
     """The smallest image, in pixels, that a policy can work with; None: any will do. `exact`: this size only."""
 
-    width: int | None = one(int)
-    height: int | None = one(int)
-    exact: bool = one(bool, default=False)
+    width: int | None = value_field(int)
+    height: int | None = value_field(int)
+    exact: bool = value_field(bool, default=False)
 
 
 @dataclass(frozen=True)
 class GripperValues(Document):
     """The model's values of a closed and an open gripper, in `unit`."""
 
-    closed: float | None = one(float)
-    open: float | None = one(float)
-    unit: str | None = one(str)
+    closed: float | None = value_field(float)
+    open: float | None = value_field(float)
+    unit: str | None = value_field(str)
 
 
 @dataclass(frozen=True)
 class Gripper(Document):
     """What the policy's gripper commands mean: `position` or `binary`."""
 
-    command: str | None = one(str)
-    model_io: GripperValues | None = one(GripperValues)
+    command: str | None = value_field(str)
+    model_io: GripperValues | None = value_field(GripperValues)
 
 
 @dataclass(frozen=True)
@@ -151,16 +151,16 @@ class ModelIO(Document):
         sampling, recurrent: a map where the author says that it is unknown.
     """
 
-    images: tuple[Entry, ...] = many(Mapping)
-    state: tuple[Entry, ...] = many(Mapping)
-    instruction: object = one(object)
-    history: History | None = one(History)
-    action: Entry = named(object)
-    sampling: object = one(object, "none")
-    tolerance: float = one(float, 0.001)
-    recurrent: object = one(object, default=False)
-    samples: tuple[Entry, ...] = many(Mapping)
-    code: tuple[str, ...] = many(str)
+    images: tuple[Entry, ...] = list_field(Mapping)
+    state: tuple[Entry, ...] = list_field(Mapping)
+    instruction: object = value_field(object)
+    history: History | None = value_field(History)
+    action: Entry = map_field(object)
+    sampling: object = value_field(object, "none")
+    tolerance: float = value_field(float, 0.001)
+    recurrent: object = value_field(object, default=False)
+    samples: tuple[Entry, ...] = list_field(Mapping)
+    code: tuple[str, ...] = list_field(str)
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     def __bool__(self) -> bool:
@@ -187,12 +187,14 @@ class ModelIO(Document):
     @property
     def longest(self) -> History | None:
         """The declared history that reaches back farthest; None without any."""
-        return max(self.declared_histories, key=lambda one: one.reach, default=None)
+        return max(self.declared_histories, key=lambda value_field: value_field.reach, default=None)
 
     @property
     def remembered(self) -> tuple[str, ...]:
         """The inputs, `images` and `state`, of which the model sees earlier observations, too."""
-        return tuple(kind for kind in ("images", "state") if any(one.length > 1 for one in self.histories(kind)))
+        return tuple(
+            kind for kind in ("images", "state") if any(value_field.length > 1 for value_field in self.histories(kind))
+        )
 
     @property
     def draws(self) -> bool:
@@ -214,39 +216,39 @@ class Manifest(Document):
         data: the whole map, with the values that are assumed in their places.
     """
 
-    spec: str | None = one(str)
-    name: str | None = one(str)
-    summary: str | None = one(str)
-    family: str | None = one(str)
-    paper: Entry | None = one(Mapping)
-    upstream: Entry | None = one(Mapping)
-    license: str | None = one(str)
-    temporal: Temporal = part(Temporal)
-    control_frequency: float | None = one(float)
-    inputs: Inputs | None = one(Inputs)
-    embodiments: tuple[str, ...] = many(str)
-    action_types: tuple[str, ...] = many(str)
-    deterministic: bool = one(bool, default=True)
-    evaluation_only: bool = one(bool, default=False)
-    checkpoints: tuple[Checkpoint, ...] = many(Checkpoint)
-    environment: PythonEnvironment = part(PythonEnvironment)
-    model_class: str = one(str, MODEL_CLASS)
-    variants: Mapping[str, Entry] = named(Mapping)
-    methods: tuple[str, ...] = many(str)
-    serving: Serving = part(Serving)
-    shadow: Shadow = part(Shadow)
-    claims: tuple[Claim, ...] = many(Claim)
-    waivers: tuple[Waiver, ...] = many(Waiver)
-    cameras: Mapping[str, CameraNeeds] = named(CameraNeeds)
-    gripper: Gripper | None = one(Gripper)
-    model_io: ModelIO | None = one(ModelIO)
+    spec: str | None = value_field(str)
+    name: str | None = value_field(str)
+    summary: str | None = value_field(str)
+    family: str | None = value_field(str)
+    paper: Entry | None = value_field(Mapping)
+    upstream: Entry | None = value_field(Mapping)
+    license: str | None = value_field(str)
+    temporal: Temporal = nested_field(Temporal)
+    control_frequency: float | None = value_field(float)
+    inputs: Inputs | None = value_field(Inputs)
+    embodiments: tuple[str, ...] = list_field(str)
+    action_types: tuple[str, ...] = list_field(str)
+    deterministic: bool = value_field(bool, default=True)
+    evaluation_only: bool = value_field(bool, default=False)
+    checkpoints: tuple[Checkpoint, ...] = list_field(Checkpoint)
+    environment: PythonEnvironment = nested_field(PythonEnvironment)
+    model_class: str = value_field(str, MODEL_CLASS)
+    variants: Mapping[str, Entry] = map_field(Mapping)
+    methods: tuple[str, ...] = list_field(str)
+    serving: Serving = nested_field(Serving)
+    shadow: Shadow = nested_field(Shadow)
+    claims: tuple[Claim, ...] = list_field(Claim)
+    waivers: tuple[Waiver, ...] = list_field(Waiver)
+    cameras: Mapping[str, CameraNeeds] = map_field(CameraNeeds)
+    gripper: Gripper | None = value_field(Gripper)
+    model_io: ModelIO | None = value_field(ModelIO)
     assumed: tuple[Assumption, ...] = ()
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def parse(cls, data: object) -> Manifest:
         """Return the manifest that a map describes, with what it assumes in the place of each assumption."""
-        return replace(super().parse(settled(data)), assumed=tuple(assumptions(data)))
+        return replace(super().parse(resolve_assumptions(data)), assumed=tuple(assumptions(data)))
 
     def __bool__(self) -> bool:
         return bool(self.data)
@@ -280,14 +282,14 @@ class Task(Document):
         data: the whole entry as it is written, with what only this environment reads.
     """
 
-    instruction: str = one(str, "")
-    max_steps: int = one(int, 0)
-    stages: Mapping[str, float] = named(float)
-    dimension: str | None = one(str)
-    arms: tuple[int, ...] = many(int)
-    unsupported: Mapping[str, str] = named(str)
-    control_frequency: float | None = one(float)
-    success_means: str | None = one(str)
+    instruction: str = value_field(str, "")
+    max_steps: int = value_field(int, 0)
+    stages: Mapping[str, float] = map_field(float)
+    dimension: str | None = value_field(str)
+    arms: tuple[int, ...] = list_field(int)
+    unsupported: Mapping[str, str] = map_field(str)
+    control_frequency: float | None = value_field(float)
+    success_means: str | None = value_field(str)
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
 
@@ -295,24 +297,24 @@ class Task(Document):
 class SeedRange(Document):
     """Seeds that a benchmark freezes for its evaluation: `count` of them from `first` on."""
 
-    first: int = one(int, 0)
-    count: int = one(int, 0)
+    first: int = value_field(int, 0)
+    count: int = value_field(int, 0)
 
 
 @dataclass(frozen=True)
 class Workspace(Document):
     """A benchmark's folder: the environment variable that names it, and what has to be in it."""
 
-    variable: str = one(str, "")
-    files: tuple[str, ...] = many(str)
+    variable: str = value_field(str, "")
+    files: tuple[str, ...] = list_field(str)
 
 
 @dataclass(frozen=True)
 class ResultFile(Document):
     """Where a benchmark's result lies below its workspace: `*` stands for a name that only the benchmark knows."""
 
-    form: str = one(str, "")
-    file: str = one(str, "")
+    form: str = value_field(str, "")
+    file: str = value_field(str, "")
 
 
 @dataclass(frozen=True)
@@ -327,13 +329,13 @@ class HandOver(Document):
         randomized: how names of tasks of the randomized setting end; None where names do not tell.
     """
 
-    bench_name: str = one(str, "")
-    workspace: Workspace = part(Workspace)
-    command: tuple[str, ...] = many(str)
-    rehearsal: tuple[str, ...] = many(str)
-    variables: Mapping[str, str] = named(str)
-    result: ResultFile = part(ResultFile)
-    randomized: str | None = one(str)
+    bench_name: str = value_field(str, "")
+    workspace: Workspace = nested_field(Workspace)
+    command: tuple[str, ...] = list_field(str)
+    rehearsal: tuple[str, ...] = list_field(str)
+    variables: Mapping[str, str] = map_field(str)
+    result: ResultFile = nested_field(ResultFile)
+    randomized: str | None = value_field(str)
 
 
 @dataclass(frozen=True)
@@ -353,31 +355,31 @@ class EnvManifest(Document):
         data: the whole map as it is written, with what only this environment reads.
     """
 
-    spec: str | None = one(str)
-    name: str = one(str, "")
-    title: str = one(str, "")
-    summary: str | None = one(str)
-    client: str = one(str, "client.py")
-    embodiments: tuple[str, ...] = many(str)
-    any_embodiment: bool = one(bool, default=False)
-    action_types: tuple[str, ...] = many(str)
-    cameras: Mapping[str, Entry] = named(Mapping)
-    control_frequency: float = one(float, 0.0)
-    real_time: bool | None = one(bool)
-    pose_frame: str | None = one(str)
-    privileged: bool = one(bool, default=False)
-    scripted: bool = one(bool, default=False)
-    settings: tuple[str, ...] = many(str, ("clean",))
-    renderers: tuple[str, ...] = many(str)
-    environment: PythonEnvironment = part(PythonEnvironment)
-    expert: str | None = one(str)
-    splits: Mapping[str, Sequence[str]] = named(list)
-    evaluation_seeds: SeedRange | None = one(SeedRange)
-    success_means: str | None = one(str)
-    hand_over: HandOver | None = one(HandOver)
-    stand_in: str | None = one(str)
-    robot: Entry | None = one(Mapping)
-    tasks: Mapping[str, Task] = named(Task)
+    spec: str | None = value_field(str)
+    name: str = value_field(str, "")
+    title: str = value_field(str, "")
+    summary: str | None = value_field(str)
+    client: str = value_field(str, "client.py")
+    embodiments: tuple[str, ...] = list_field(str)
+    any_embodiment: bool = value_field(bool, default=False)
+    action_types: tuple[str, ...] = list_field(str)
+    cameras: Mapping[str, Entry] = map_field(Mapping)
+    control_frequency: float = value_field(float, 0.0)
+    real_time: bool | None = value_field(bool)
+    pose_frame: str | None = value_field(str)
+    privileged: bool = value_field(bool, default=False)
+    scripted: bool = value_field(bool, default=False)
+    settings: tuple[str, ...] = list_field(str, ("clean",))
+    renderers: tuple[str, ...] = list_field(str)
+    environment: PythonEnvironment = nested_field(PythonEnvironment)
+    expert: str | None = value_field(str)
+    splits: Mapping[str, Sequence[str]] = map_field(list)
+    evaluation_seeds: SeedRange | None = value_field(SeedRange)
+    success_means: str | None = value_field(str)
+    hand_over: HandOver | None = value_field(HandOver)
+    stand_in: str | None = value_field(str)
+    robot: Entry | None = value_field(Mapping)
+    tasks: Mapping[str, Task] = map_field(Task)
     data: Entry = field(default_factory=dict, compare=False, repr=False)
 
     def frequency(self, task: str | None) -> float:

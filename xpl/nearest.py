@@ -1,4 +1,4 @@
-"""Names that somebody who gave another one most likely meant."""
+"""Suggestions for misspelt names."""
 
 from __future__ import annotations
 
@@ -7,20 +7,23 @@ import re
 from collections.abc import Iterable
 
 
-def nearest(given: str, known: Iterable[str], most: int = 3, cutoff: float = 0.6) -> list[str]:
+def nearest(name: str, candidates: Iterable[str], most: int = 3, cutoff: float = 0.6) -> list[str]:
     """Return the names that a name is most likely a misspelling of, the likeliest first.
 
     Args:
-        given: the name.
-        known: those that there are.
-        most: how many are returned at most.
-        cutoff: how alike they have to be, 0 to 1 (`difflib.SequenceMatcher.ratio`); the same words in another order
-            (`single_arx_x5`, `arx_x5_single`) are all alike.
+        name: the misspelt name.
+        candidates: the valid names.
+        most: largest number of suggestions.
+        cutoff: least similarity, 0..1 (`difflib.SequenceMatcher.ratio`); names of the same words in another order
+            (`single_arx_x5`, `arx_x5_single`) always match.
+
+    Returns:
+        At most `most` of the candidates.
     """
-    by_folded = {name.casefold(): name for name in known}
-    words = _words(given)
+    by_folded = {name.casefold(): name for name in candidates}
+    words = _words(name)
     turned = [name for name in by_folded if _words(name) == words]
-    near = turned or difflib.get_close_matches(given.casefold(), by_folded, n=most, cutoff=cutoff)
+    near = turned or difflib.get_close_matches(name.casefold(), by_folded, n=most, cutoff=cutoff)
     return [by_folded[name] for name in near][:most]
 
 

@@ -1,26 +1,26 @@
-"""Values inside of maps and lists, and how the place of one is written."""
+"""Values inside nested maps and lists, and their paths."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-Place = tuple[Any, ...]
-"""Keys of maps and numbers of items, from the outside in."""
+ValuePath = tuple[Any, ...]
+"""Keys of maps and indices of items, from the outside in."""
 
 
-def leaves(value: object, place: Place = ()) -> Iterator[tuple[Place, Any]]:
-    """Yield what is neither map nor list in a value, with its place."""
+def leaves(value: object, path: ValuePath = ()) -> Iterator[tuple[ValuePath, Any]]:
+    """Yield (path, value) of each value that is neither map nor list."""
     if isinstance(value, Mapping):
         for name, item in value.items():
-            yield from leaves(item, (*place, name))
+            yield from leaves(item, (*path, name))
     elif isinstance(value, (list, tuple)):
         for number, item in enumerate(value):
-            yield from leaves(item, (*place, number))
+            yield from leaves(item, (*path, number))
     else:
-        yield place, value
+        yield path, value
 
 
-def written(place: Sequence[Any]) -> str:
-    """Return a place as people write it: `vision.cam_head.color`, `tasks[0].name`, `[0].left_ee_pose`."""
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).removeprefix(".")
+def format_path(path: Sequence[Any]) -> str:
+    """Return a path as text: `vision.cam_head.color`, `tasks[0].name`, `[0].left_ee_pose`."""
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path).removeprefix(".")

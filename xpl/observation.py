@@ -1,6 +1,6 @@
 """Reading observations: state vector, images, instruction, environment index.
 
-Every reader raises one clear error if a field is missing or malformed, and none substitutes a default.
+Each function raises an error if a field is missing or malformed; none substitutes a default.
 Source: spec/v1/observation.schema.json.
 """
 
@@ -20,17 +20,22 @@ if TYPE_CHECKING:
 
 
 class ObservationError(ValueError):
-    """An observation lacks a field or holds one of another shape or type."""
+    """An observation lacks a field, or a field has the wrong shape or type."""
 
 
 def pack_state(obs: Observation, embodiment: Embodiment, action_type: str) -> np.ndarray:
     """Return proprioception as one vector, in the order of a flat action.
 
+    Args:
+        obs: the observation.
+        embodiment: the robot.
+        action_type: "joint" (joint angles) or "ee" (flange poses).
+
     Returns:
-        (D,) float32: joint angles (rad) or poses, and grippers, by `action_type`.
+        (D,) float32: joint angles (rad) or poses (m, unit quaternion, w first), and grippers (0..1), per arm.
 
     Raises:
-        ObservationError: if the state, a key or a dimension is missing or wrong, or a value is not finite.
+        ObservationError: the state, a key or a dimension is missing or wrong, or a value is not finite.
     """
     state = obs.get(spec.Obs.STATE)
     if not isinstance(state, Mapping):
@@ -49,7 +54,7 @@ def get_image(obs: Observation, camera: str) -> np.ndarray:
     """Return the RGB image of a camera, (H, W, 3) uint8, a view of the observation's own data where possible.
 
     Raises:
-        ObservationError: if the camera is missing, still encoded, or not an RGB image.
+        ObservationError: the camera is missing, still encoded, or no RGB image.
     """
     vision = obs.get(spec.Obs.VISION)
     if not isinstance(vision, Mapping) or camera not in vision:
@@ -68,16 +73,16 @@ def get_image(obs: Observation, camera: str) -> np.ndarray:
 
 
 def is_encoded(image: object) -> bool:
-    """Tell whether a colour entry is an encoded image: bytes, or a one-dimensional uint8 array."""
+    """Return whether a colour entry is an encoded image: bytes, or a one-dimensional uint8 array."""
     return isinstance(image, (bytes, bytearray, memoryview)) or (
         isinstance(image, np.ndarray) and image.ndim == 1 and image.dtype == np.uint8
     )
 
 
 def color_of(camera: object) -> Any:
-    """Return the colour entry of one camera under any spelling the field uses, or None.
+    """Return the colour entry of one camera under any of its known keys, or None.
 
-    Readers meet `color`, its aliases, and an image placed directly under the camera's name.
+    Keys are `color` and its aliases; the image may also be the camera's entry itself.
     """
     if not isinstance(camera, Mapping):
         return camera
@@ -92,10 +97,10 @@ def get_instruction(obs: Observation, *, required: bool = False) -> str | None:
 
     Args:
         obs: the observation.
-        required: raise where there is none, as a policy does that follows it.
+        required: raise if there is none.
 
     Raises:
-        ObservationError: if what is there is not text, or nothing is there that is required.
+        ObservationError: the instruction is no text, or is required and missing.
     """
     value = obs.get(spec.Obs.INSTRUCTION)
     several = obs.get(spec.Obs.INSTRUCTIONS)
@@ -106,22 +111,22 @@ def get_instruction(obs: Observation, *, required: bool = False) -> str | None:
     if value is not None and not isinstance(value, str):
         raise ObservationError(f"the instruction must be text, got {type(value).__name__}")
     if value is None and required:
-        there = ", ".join(map(str, obs))
+        fields = ", ".join(map(str, obs))
         raise ObservationError(
-            f"the observation has no {spec.Obs.INSTRUCTION}, nor {spec.Obs.INSTRUCTIONS}; it has {there}"
+            f"the observation has no {spec.Obs.INSTRUCTION}, nor {spec.Obs.INSTRUCTIONS}; it has {fields}"
         )
     return value
 
 
 def offered_inputs(obs: Observation) -> list[str]:
-    """Return the inputs that an observation holds, by their names in policy.yml: `state.ee_pose`, `vision.cam_head`."""
+    """Return the inputs in an observation by their names in policy.yml: `state.ee_pose`, `vision.cam_head`."""
     state = obs.get(spec.Obs.STATE) or {}
     prefixes = {prefix for names in spec.ARM_PREFIXES.values() for prefix in names if prefix}
     bare = [next((key[len(prefix) :] for prefix in prefixes if key.startswith(prefix)), key) for key in state]
-    found = [f"{spec.Obs.STATE}.{key}" for key in dict.fromkeys(bare)]
-    found += [f"{spec.Obs.VISION}.{camera}" for camera in obs.get(spec.Obs.VISION) or {}]
-    found += [name for name in (spec.Obs.INSTRUCTION, spec.Obs.PRIVILEGED) if obs.get(name) is not None]
-    return found
+    inputs = [f"{spec.Obs.STATE}.{key}" for key in dict.fromkeys(bare)]
+    inputs += [f"{spec.Obs.VISION}.{camera}" for camera in obs.get(spec.Obs.VISION) or {}]
+    inputs += [name for name in (spec.Obs.INSTRUCTION, spec.Obs.PRIVILEGED) if obs.get(name) is not None]
+    return inputs
 
 
 def offered_cameras(obs: Observation) -> dict[str, dict[str, int]]:
@@ -133,17 +138,17 @@ def offered_cameras(obs: Observation) -> dict[str, dict[str, int]]:
 def env_indices(observations: Sequence[Observation]) -> list[int]:
     """Return the environment index of each observation of a batch.
 
-    Observations without `env_idx` count by position, but only if all of the batch lack it.
+    If all observations lack `env_idx`, their position is the index.
 
     Raises:
-        ObservationError: if some but not all have an index, an index is repeated, or is not a non-negative integer.
+        ObservationError: some but not all have an index, an index is repeated, or is not a non-negative integer.
     """
-    given = [obs.get(spec.Obs.ENV_IDX) for obs in observations]
-    if all(index is None for index in given):
-        return list(range(len(given)))
-    if any(index is None for index in given):
-        raise ObservationError(f"either all observations of a batch carry env_idx or none does, got {given}")
-    indices = [env_index(index) for index in given]
+    indices_given = [obs.get(spec.Obs.ENV_IDX) for obs in observations]
+    if all(index is None for index in indices_given):
+        return list(range(len(indices_given)))
+    if any(index is None for index in indices_given):
+        raise ObservationError(f"either all observations of a batch carry env_idx or none does, got {indices_given}")
+    indices = [env_index(index) for index in indices_given]
     if len(set(indices)) != len(indices):
         raise ObservationError(f"an environment index is repeated in one batch: {indices}")
     return indices
@@ -153,7 +158,7 @@ def env_index(value: object) -> int:
     """Return one environment index as an int.
 
     Raises:
-        ObservationError: unless it is a non-negative integer.
+        ObservationError: it is not a non-negative integer.
     """
     if isinstance(value, (bool, np.bool_)) or not isinstance(value, (int, np.integer)) or value < 0:
         raise ObservationError(f"an environment index must be a non-negative integer, got {value!r}")
@@ -161,7 +166,7 @@ def env_index(value: object) -> int:
 
 
 def _from_lists(image: object) -> np.ndarray:
-    """Return the array of nested lists; whole numbers from 0 to 255 become uint8, and nothing else is converted."""
+    """Return the array of nested lists; integers from 0 to 255 become uint8, nothing else is converted."""
     try:
         array = np.asarray(image)
     except ValueError:

@@ -1,9 +1,9 @@
-"""The contract base class: everything adapters used to write again, written once.
+"""Base class of adapters: the operations of the contract, history, seeds, ensembling and checks.
 
     a[t : t + H] = g_out(pi(g_in(o_t), s_t))
 
-`Policy` keeps the state of every environment under its index, answers the environments that were asked for, clears
-them at reset and seeds them. An adapter fills in g_in (`encode`), pi (`predict`) and g_out (`decode`).
+`Policy` keeps the state of each environment by index, seeds and resets it. An adapter implements g_in (`encode`), pi
+(`predict`) and g_out (`decode`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.action import ActionError, check_chunk, pack
 from xpl.decoding import decode_rows, ensemble, quaternion_columns
-from xpl.embodiment import get_embodiment, undeclared
+from xpl.embodiment import get_embodiment, why_undeclared
 from xpl.episodes import EpisodeCounter
 from xpl.manifest import Manifest
 from xpl.memory import Memory
@@ -36,7 +36,7 @@ _Value = TypeVar("_Value")
 
 
 class PolicyStateError(RuntimeError):
-    """An operation came in an order that has no answer, such as get_action before update_obs."""
+    """The operations were called in an invalid order, such as get_action before update_obs."""
 
 
 class ConfigError(ValueError):
@@ -44,8 +44,8 @@ class ConfigError(ValueError):
 
 
 @dataclass
-class _Frame:
-    """One observation and, once it was needed, what `encode` made of it."""
+class _EncodedObservation:
+    """One observation and, after the first inference that needs it, the result of `encode`."""
 
     obs: Observation
     inputs: Any = None
@@ -53,13 +53,13 @@ class _Frame:
 
 
 @dataclass
-class _Environment:
-    """All that is remembered of one environment in one episode."""
+class _EnvState:
+    """State of one environment in one episode."""
 
     rng: np.random.Generator
-    frames: deque[_Frame]
+    frames: deque[_EncodedObservation]
     step: int = -1
-    # Of model_io conversions: the last quaternions that were encoded, and the last command of each answer.
+    # For model_io conversions: the last encoded quaternions, and the last command of each inference.
     signs: dict[str, np.ndarray] = field(default_factory=dict)
     commands: Memory = field(default_factory=Memory)
     predictions: dict[int, np.ndarray] = field(default_factory=dict)
@@ -67,35 +67,35 @@ class _Environment:
 
 
 class Policy:
-    """Base class of adapters; a plain class with the same six operations is equally legal.
+    """Base class of adapters; a class of its own with the same six operations is valid, too.
 
-    Construction calls `load(config)`. What the manifest declares (chunk, history, ensembling) arrives with the
-    configuration and is kept to.
+    The constructor calls `load(config)`. Chunk, history and ensembling of the manifest arrive with the configuration
+    and are enforced.
 
-    What an adapter may rely on, for each environment by itself: an observation that is shown only joins the history.
-    `encode` runs when an answer is needed, once for each observation that is in the history then, the oldest first: one
-    that left the history before a question is never encoded. A question runs `predict` and `decode` on the newest
-    observation, and once more if it is put again, with the same history and `memory`; the random generator goes on. A
-    question that fails leaves memory and generator as they were. A reset forgets all of it. docs/contract.md has more.
+    For each environment by itself: `update_obs` only adds an observation to the history. `encode` runs at inference,
+    once for each observation in the history, the oldest first; one that left the history before is never encoded. An
+    inference runs `predict` and `decode` on the newest observation; a repeated one has the same history and `memory`,
+    and the random generator goes on. A failed inference leaves memory and generator unchanged. A reset clears all of
+    it. docs/contract.md has more.
 
     Args:
         config: values of deploy.yml after overrides. Read: `env_cfg_type` (names the embodiment), `action_type`,
-            `seed`; and `manifest`, the parsed policy.yml, where the adapter is served.
+            `seed`; and `manifest`, the parsed policy.yml, if the adapter is served.
 
     Attributes:
         config: the configuration, without the manifest.
         embodiment: the robot.
         action_type: "joint" or "ee".
-        seed: the run seed; 0 is a seed like any other.
-        chunk: action steps that one call returns, or None where no manifest declares it.
-        history: observations that `predict` sees per environment.
-        interface: the model's own interface (`xpl.convert`), where the manifest has a block `model_io`; else None.
+        seed: the run seed, an int; 0 is valid.
+        chunk: action horizon: number of steps of an action chunk; None if no manifest declares it.
+        history: number of observations that `predict` gets per environment.
+        interface: the model's interface (`xpl.convert`) if the manifest has a block `model_io`; otherwise None.
         policy_dir: folder of model.py; relative paths start there.
 
     Raises:
-        ConfigError: if a value is missing or has the wrong type, or the manifest does not declare the robot or the
-            kind of action that is asked for.
-        UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
+        ConfigError: a value is missing or has the wrong type, or the manifest does not declare the robot or the
+            action type.
+        UnknownEmbodimentError: `env_cfg_type` names no embodiment.
     """
 
     def __init__(self, config: Config) -> None:
@@ -111,13 +111,13 @@ class Policy:
         if not isinstance(name, str):
             raise ConfigError(f"env_cfg_type must name an embodiment, got {name!r}")
         self.embodiment = get_embodiment(name)
-        if refused := undeclared(manifest, name, self.action_type):
-            raise ConfigError(f"{refused}; ask for one of them, or declare it if the model drives it")
+        if refused := why_undeclared(manifest, name, self.action_type):
+            raise ConfigError(f"{refused}; configure one of them, or declare it if the model supports it")
         self.seed: int = self.setting(spec.Deploy.SEED, spec.DEPLOY_DEFAULTS[spec.Deploy.SEED])
         file = getattr(sys.modules.get(type(self).__module__), "__file__", None)
         self.policy_dir = Path(file).resolve().parent if file else Path.cwd()
-        self.interface = self._compiled(None if manifest.model_io is None else manifest.model_io.data)
-        self._environments: dict[int, _Environment] = {}
+        self.interface = self._compile_interface(None if manifest.model_io is None else manifest.model_io.data)
+        self._environments: dict[int, _EnvState] = {}
         self._order: list[int] | None = None
         self._episodes = EpisodeCounter()
         self.load(self.config)
@@ -125,24 +125,35 @@ class Policy:
     # -- what an adapter fills in --------------------------------------------------------------------------------------
 
     def load(self, config: Config) -> None:
-        """Build the reference. Import heavy libraries here, so that the module itself imports anywhere."""
+        """Load the model. Import heavy libraries here, so that the module itself can be imported anywhere.
+
+        Args:
+            config: the configuration, without the manifest.
+        """
 
     def encode(self, obs: Observation, env: int) -> Any:
         """Return the model's inputs for one observation (g_in). Pure: neither changes `obs` nor keeps state.
 
-        The default converts as the manifest's block `model_io` says.
+        The default converts by the manifest's block `model_io`.
+
+        Args:
+            obs: the observation.
+            env: index of its environment.
+
+        Returns:
+            Any value; `predict` gets it as it is.
         """
         if self.interface is None:
             raise NotImplementedError(f"{type(self).__name__} must define encode(obs, env), or have a model_io block")
         return self.interface.encode(obs, self._environments[env].signs)
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
-        """Run the model on a batch (pi), in one forward pass where it can.
+        """Run the model on a batch (pi), in one forward pass if possible.
 
         Args:
-            inputs: what `encode` returned, one entry per environment. With history > 1 an entry is a list of
+            inputs: results of `encode`, one entry per environment. With history > 1 an entry is a list of
                 `history` encodings, oldest first; the first observation is repeated until the history is full.
-                With a block `model_io` and no `encode` of your own: a map of the model's inputs, each a (B, ...) array
+                With a block `model_io` and no own `encode`: a map of the model's inputs, each a (B, ...) array
                 or a list of B texts.
             envs: environment index of each entry; `self.rng(env)` is its random generator.
 
@@ -154,9 +165,16 @@ class Policy:
     def decode(self, raw: np.ndarray, obs: Observation, env: int) -> list[ActionStep]:
         """Return the action chunk of one environment (g_out).
 
-        The default converts as the manifest's block `model_io` says; without one it reads each row of `raw`, (H, D), as
-        a flat absolute action. Override it where the model predicts something else, for example deltas to the state in
-        `obs`, the newest observation.
+        The default converts by the manifest's block `model_io`; without one it reads each row of `raw` as a flat
+        absolute action. Override it if the model predicts something else, such as deltas to the state in `obs`.
+
+        Args:
+            raw: (H, D) output of `predict` for this environment.
+            obs: the newest observation.
+            env: index of the environment.
+
+        Returns:
+            H action steps: maps from each key of the action type to its (dim,) float32 values.
         """
         if self.interface is None:
             return decode_rows(raw, self.embodiment, self.action_type)
@@ -167,50 +185,56 @@ class Policy:
         return steps
 
     def reset_env(self, env: int) -> None:
-        """Forget state of a library of one environment that the base class cannot see.
+        """Clear the state of one environment in a library, which the base class cannot see.
 
-        Called when an environment is first observed and at every reset. A failure is raised, never swallowed.
+        Called when an environment is first observed and at every reset. An exception is raised, not suppressed.
+
+        Args:
+            env: index of the environment.
         """
 
     # -- help for adapters ---------------------------------------------------------------------------------------------
 
     def setting(self, name: str, default: _Value) -> _Value:
-        """Return a configuration value; null means not given, and the type must be the default's.
+        """Return a configuration value; null means the default, and the type must be the default's.
+
+        Args:
+            name: key of deploy.yml.
+            default: value if the key is missing or null.
 
         Raises:
-            ConfigError: if the value's type differs, for example the string "false" where a flag is expected.
+            ConfigError: the value has another type, such as the string "false" for a flag.
         """
         value = self.config.get(name)
         if value is None:
             return default
-        wanted = type(default)
-        if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+        expected_type = type(default)
+        if expected_type is float and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
-        if default is not None and type(value) is not wanted:
-            raise ConfigError(f"{name} must be a {wanted.__name__}, got {value!r} ({type(value).__name__})")
+        if default is not None and type(value) is not expected_type:
+            raise ConfigError(f"{name} must be a {expected_type.__name__}, got {value!r} ({type(value).__name__})")
         return cast("_Value", value)
 
     def rng(self, env: int) -> np.random.Generator:
         """Return the random generator of one environment, seeded by run seed, episode and environment index."""
-        return self._known(env).rng
+        return self._state_of(env).rng
 
     def memory(self, env: int) -> Memory:
-        """Return what is kept of one environment from observation to observation: recurrent state, in `predict`.
+        """Return the recurrent state of one environment, for `predict` and `decode`.
 
-        It advances once for each observation that is asked about: not twice if that is asked about again, and not if
-        the question fails.
+        It advances once per observation with an inference: not at a repeated inference, and not if it fails.
         """
-        return self._known(env).memory
+        return self._state_of(env).memory
 
     def encodings(self, env: int) -> list[Any]:
-        """Return what `encode` makes of the observations that are kept of one environment, oldest first.
+        """Return the results of `encode` for the history of one environment, oldest first.
 
-        Each is encoded once, when it is first needed; a question does the same.
+        Each observation is encoded once, when first needed.
 
         Raises:
-            PolicyStateError: if the environment is unknown.
+            PolicyStateError: the environment is unknown.
         """
-        frames = self._known(env).frames
+        frames = self._state_of(env).frames
         for frame in frames:
             if not frame.encoded:
                 frame.inputs, frame.encoded = self.encode(frame.obs, env), True
@@ -219,16 +243,16 @@ class Policy:
     # -- the operations of the wire ------------------------------------------------------------------------------------
 
     def update_obs(self, obs: Observation) -> None:
-        """Take in the newest observation of one environment (`env_idx`, 0 if it has none)."""
+        """Add the newest observation of one environment (`env_idx`, 0 if it has none)."""
         index = obs.get(spec.Obs.ENV_IDX)
-        self._observe([obs], [0 if index is None else env_index(index)])
+        self._store_observations([obs], [0 if index is None else env_index(index)])
 
     def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
-        """Take in the newest observation of several environments; their order is the batch order."""
-        self._observe(obs_list, env_indices(obs_list))
+        """Add the newest observations of several environments; their order is the batch order."""
+        self._store_observations(obs_list, env_indices(obs_list))
 
     def get_action(self) -> list[ActionStep]:
-        """Return the action chunk of the environment that was observed last.
+        """Return the action chunk of the environment observed last.
 
         Raises:
             PolicyStateError: before an observation, or after a batch of several.
@@ -243,11 +267,11 @@ class Policy:
         """Return the action chunks of exactly these environments, in this order.
 
         Args:
-            env_idx_list: environments to answer; None means the last batch, [] is answered by [].
+            env_idx_list: indices of environments; None means the last batch, [] returns [].
 
         Raises:
-            PolicyStateError: if an environment is unknown or repeated, or nothing was observed.
-            ObservationError: if an index is not a non-negative integer.
+            PolicyStateError: an environment is unknown or repeated, or nothing was observed.
+            ObservationError: an index is not a non-negative integer.
         """
         if env_idx_list is None:
             if self._order is None:
@@ -256,29 +280,29 @@ class Policy:
         envs = [env_index(index) for index in env_idx_list]
         if len(set(envs)) != len(envs):
             raise PolicyStateError(f"an environment is repeated in {envs}")
-        states = [self._known(env) for env in envs]
+        states = [self._state_of(env) for env in envs]
         if not envs:
             return []
-        inputs = [self._given(env) for env in envs]
+        inputs = [self._inputs_of(env) for env in envs]
         drawn = [state.rng.bit_generator.state for state in states]
         answered = False
         for state in states:
-            state.memory.ask(state.step)
-            state.commands.ask(state.step)
+            state.memory.begin(state.step)
+            state.commands.begin(state.step)
         try:
-            given: Any = inputs if self.interface is None or self._encodes else self.interface.batch(inputs)
-            rows = self._checked(self.predict(given, envs), envs)
-            chunks = [self._decoded(raw, state, env) for raw, state, env in zip(rows, states, envs)]
+            model_inputs: Any = inputs if self.interface is None or self._encodes else self.interface.batch(inputs)
+            rows = self._check_rows(self.predict(model_inputs, envs), envs)
+            chunks = [self._decode_and_check(raw, state, env) for raw, state, env in zip(rows, states, envs)]
             answered = True
         except BaseException:
-            # As if it had not been: a batch that one client spoils is tried again without it.
+            # Undo: the server repeats a batch that failed for one client without that client.
             for state, before in zip(states, drawn):
                 state.rng.bit_generator.state = before
             raise
         finally:
             for state in states:
-                state.memory.settle(answered=answered)
-                state.commands.settle(answered=answered)
+                state.memory.commit(answered=answered)
+                state.commands.commit(answered=answered)
         return chunks
 
     def reset(self) -> None:
@@ -287,12 +311,12 @@ class Policy:
         self._order = None
 
     def reset_envs(self, env_idx_list: Sequence[int]) -> None:
-        """Start a new episode in these environments only; others go on. What lets several clients share a model."""
-        known = [env for env in env_idx_list if self._environments.pop(env, None) is not None]
+        """Start a new episode in these environments only, so that several clients can share a model."""
+        observed = [env for env in env_idx_list if self._environments.pop(env, None) is not None]
         if self._order is not None and not self._environments.keys() >= set(self._order):
             self._order = None
-        self._episodes.reset(known)
-        for env in known:
+        self._episodes.reset(observed)
+        for env in observed:
             self.reset_env(env)
 
     # -- inside --------------------------------------------------------------------------------------------------------
@@ -301,7 +325,7 @@ class Policy:
     def _encodes(self) -> bool:
         return type(self).encode is not Policy.encode
 
-    def _compiled(self, model_io: Entry | None) -> Interface | None:
+    def _compile_interface(self, model_io: Entry | None) -> Interface | None:
         if model_io is None:
             return None
         from xpl.convert import compile_interface
@@ -309,39 +333,39 @@ class Policy:
         folders = checkpoint.folders(self.config, self.policy_dir)
         return compile_interface(model_io, self.embodiment, self.action_type, folders, self.chunk)
 
-    def _observe(self, observations: Sequence[Observation], envs: list[int]) -> None:
+    def _store_observations(self, observations: Sequence[Observation], envs: list[int]) -> None:
         for env in envs:
             if env not in self._environments:
                 self._environments[env] = self._new_environment(env)
         for env, obs in zip(envs, observations):
             state = self._environments[env]
-            state.frames.append(_Frame(obs))
+            state.frames.append(_EncodedObservation(obs))
             state.step += 1
         self._order = envs
         self._episodes.observe(envs)
 
-    def _new_environment(self, env: int) -> _Environment:
+    def _new_environment(self, env: int) -> _EnvState:
         self.reset_env(env)
         rng = np.random.default_rng(self._episodes.seeds(self.seed, env))
-        kept = self.history if self.interface is None else max(self.history, self.interface.span)
-        return _Environment(rng=rng, frames=deque(maxlen=kept))
+        length = self.history if self.interface is None else max(self.history, self.interface.span)
+        return _EnvState(rng=rng, frames=deque(maxlen=length))
 
-    def _known(self, env: int) -> _Environment:
+    def _state_of(self, env: int) -> _EnvState:
         if env not in self._environments:
-            known = sorted(self._environments)
-            raise PolicyStateError(f"environment {env} has no observation since the last reset; known are {known}")
+            observed = sorted(self._environments)
+            raise PolicyStateError(f"environment {env} has no observation since the last reset; known are {observed}")
         return self._environments[env]
 
-    def _given(self, env: int) -> Any:
+    def _inputs_of(self, env: int) -> Any:
         encodings = self.encodings(env)
         if self.interface is not None and not self._encodes:
-            return encodings  # `Interface.batch` makes a history of them
+            return encodings  # `Interface.batch` builds the histories
         if self.history == 1:
             return encodings[-1]
-        # A model_io block may keep more of them.
+        # A model_io block may need a longer history.
         return [encodings[0]] * (self.history - len(encodings)) + encodings[-self.history :]
 
-    def _checked(self, raw: object, envs: list[int]) -> list[np.ndarray]:
+    def _check_rows(self, raw: object, envs: list[int]) -> list[np.ndarray]:
         if isinstance(raw, Mapping) or not hasattr(raw, "__iter__"):
             raise ActionError(f"predict must return (B, H, D) or a list of (H, D), got {type(raw).__name__}")
         rows = [np.asarray(row) if isinstance(row, (list, tuple)) else as_array(row) for row in raw]
@@ -352,16 +376,16 @@ class Policy:
                 raise ActionError(f"predict must return (H, D) per environment, got shape {row.shape} for {env}")
         return rows
 
-    def _decoded(self, raw: np.ndarray, state: _Environment, env: int) -> list[ActionStep]:
+    def _decode_and_check(self, raw: np.ndarray, state: _EnvState, env: int) -> list[ActionStep]:
         steps = self.decode(raw, state.frames[-1].obs, env)
-        if type(self).decode is not Policy.decode:  # which makes nothing that would not pass
+        if type(self).decode is not Policy.decode:  # whose result is valid
             check_chunk(steps, self.embodiment, self.action_type)
         if self.chunk is not None and len(steps) != self.chunk:
             raise ActionError(f"the manifest declares chunks of {self.chunk} steps, this one has {len(steps)}")
-        return steps if self._ensembling is None else self._ensembled(steps, state, self._ensembling)
+        return steps if self._ensembling is None else self._average_chunks(steps, state, self._ensembling)
 
-    def _ensembled(self, steps: list[ActionStep], state: _Environment, decay: float) -> list[ActionStep]:
-        """Average a chunk with earlier ones: absolute actions, as `decode` returns, not what the model emits."""
+    def _average_chunks(self, steps: list[ActionStep], state: _EnvState, decay: float) -> list[ActionStep]:
+        """Average a chunk with earlier ones: absolute actions of `decode`, not model outputs."""
         newest = [pack(step, self.embodiment, self.action_type) for step in steps]
         quaternions = quaternion_columns(self.embodiment, self.action_type)
         averaged = ensemble(state.predictions, newest, state.step, decay, quaternions)

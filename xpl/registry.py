@@ -1,13 +1,12 @@
-"""What is registered by name: a table of our own, and what installed packages add with entry points.
+"""Registry of extensions by name: built-in ones, and entry points of installed packages.
 
-A package adds to a group in its pyproject.toml, and no file of `xpl` is touched:
+A package registers in a group in its pyproject.toml, without a change of `xpl`:
 
     [project.entry-points."xpl.wires"]
     tiny = "my_package.wire:WIRE"
 
-Wires are objects, formats and conventions modules, which are imported when they are used. Rules, environments and
-robots are content: their entry points name a folder within a package, in which they are found by path, and which is
-never imported.
+Wires are objects; formats and conventions are modules; they are imported on first use. Rules, environments and robots
+are content: their entry points name a folder within a package, which is searched and never imported.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ if TYPE_CHECKING:
 
 RULES, WIRES, ENVS, ROBOTS, FORMATS = "xpl.rules", "xpl.wires", "xpl.envs", "xpl.robots", "xpl.formats"
 CONVENTIONS = "xpl.conventions"
-OURS = "xpl"
-"""The distribution of what is built in."""
+BUILT_IN_DISTRIBUTION = "xpl"
+"""Distribution of the built-in entries."""
 
 
 class EntryPointError(RuntimeError):
@@ -34,13 +33,13 @@ class EntryPointError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Entry:
-    """One registered thing, not yet imported.
+class RegisteredEntry:
+    """One entry, not imported yet.
 
     Attributes:
         group: one of the groups above.
-        name: what it is called there.
-        value: `package.module:object`, `package.module`, or `package.folder` where the group holds folders.
+        name: its name in the group.
+        value: `package.module:object`, `package.module`, or `package.folder` in groups of folders.
         distribution: name and version of the distribution that registered it.
     """
 
@@ -50,19 +49,19 @@ class Entry:
     distribution: str
 
     def load(self) -> Any:
-        """Import the object, or the module where the value names no object.
+        """Import the object, or the module if the value names no object.
 
         Raises:
             EntryPointError: it cannot be imported.
         """
         module, _, attribute = self.value.partition(":")
         try:
-            found: Any = importlib.import_module(module.strip())
+            value: Any = importlib.import_module(module.strip())
             for part in attribute.strip().split(".") if attribute else ():
-                found = getattr(found, part)
+                value = getattr(value, part)
         except Exception as error:
-            raise self.broken(f"{type(error).__name__}: {error}") from error
-        return found
+            raise self.unusable(f"{type(error).__name__}: {error}") from error
+        return value
 
     def folder(self) -> Path:
         """Return the folder that the value names; nothing is imported.
@@ -72,87 +71,94 @@ class Entry:
         """
         top, *parts = self.value.split(".")
         try:
-            found = importlib.util.find_spec(top)
+            module_spec = importlib.util.find_spec(top)
         except (ImportError, ValueError) as error:
-            raise self.broken(f"{type(error).__name__}: {error}") from None
-        for place in (found.submodule_search_locations if found else None) or ():
-            folder = Path(place, *parts)
+            raise self.unusable(f"{type(error).__name__}: {error}") from None
+        for location in (module_spec.submodule_search_locations if module_spec else None) or ():
+            folder = Path(location, *parts)
             if folder.is_dir():
                 return folder
-        raise self.broken(f"there is no folder {'/'.join(parts) or '.'} in a package {top}")
+        raise self.unusable(f"there is no folder {'/'.join(parts) or '.'} in a package {top}")
 
-    def broken(self, problem: str) -> EntryPointError:
+    def unusable(self, problem: str) -> EntryPointError:
         """Return the error about this entry point, in one line."""
-        said = " ".join(problem.split())
+        text = " ".join(problem.split())
         return EntryPointError(
-            f"the entry point {self.name} = {self.value!r} ({self.group}) of {self.distribution} cannot be used: {said}"
+            f"the entry point {self.name} = {self.value!r} ({self.group}) of {self.distribution} cannot be used: {text}"
         )
 
 
-def entries(group: str, built_in: Mapping[str, str] | None = None) -> dict[str, Entry]:
-    """Return what a group holds, by name: what is built in, then what installed packages register.
+def entries(group: str, built_in: Mapping[str, str] | None = None) -> dict[str, RegisteredEntry]:
+    """Return the entries of a group by name: built-in ones, then those of installed packages.
 
     Args:
         group: one of the groups above.
-        built_in: our own, as name and value.
+        built_in: values of the built-in entries, by name.
 
     Raises:
-        EntryPointError: two have one name.
+        EntryPointError: two entries have the same name.
     """
-    found = {name: Entry(group, name, value, OURS) for name, value in (built_in or {}).items()}
+    registered = {
+        name: RegisteredEntry(group, name, value, BUILT_IN_DISTRIBUTION) for name, value in (built_in or {}).items()
+    }
     for entry in _installed():
         if entry.group != group:
             continue
-        other = found.setdefault(entry.name, entry)
+        other = registered.setdefault(entry.name, entry)
         if other is not entry:
             raise EntryPointError(
                 f"two are called {entry.name} in {group}: {other.value!r} of {other.distribution} and {entry.value!r} "
                 f"of {entry.distribution}; uninstall one of them"
             )
-    return found
+    return registered
 
 
-def find(group: str, name: str, built_in: Mapping[str, str] | None = None) -> Entry | None:
-    """Return what is registered by a name, None if nothing is; packages are only looked for where we have none.
+def find(group: str, name: str, built_in: Mapping[str, str] | None = None) -> RegisteredEntry | None:
+    """Return the entry of a name, None if there is none; installed packages are searched only if it is not built in.
+
+    Args:
+        group: one of the groups above.
+        name: name of the entry.
+        built_in: values of the built-in entries, by name.
 
     Raises:
-        EntryPointError: two of the group have one name.
+        EntryPointError: two entries of the group have the same name.
     """
     if built_in and name in built_in:
-        return Entry(group, name, built_in[name], OURS)
+        return RegisteredEntry(group, name, built_in[name], BUILT_IN_DISTRIBUTION)
     return entries(group, built_in).get(name)
 
 
-def folders(group: str) -> dict[Path, Entry]:
-    """Return the folders that installed packages register in a group, with who registers them.
+def folders(group: str) -> dict[Path, RegisteredEntry]:
+    """Return the folders that installed packages register in a group, with their entries.
 
     Raises:
-        EntryPointError: one cannot be found, or two have one name.
+        EntryPointError: a folder does not exist, or two entries have the same name.
     """
     return {entry.folder(): entry for entry in entries(group).values()}
 
 
 @cache
-def _installed() -> tuple[Entry, ...]:
-    """Return the entry points of our groups of all distributions of this Python; the first on its path counts."""
-    return tuple(_found())
+def _installed() -> tuple[RegisteredEntry, ...]:
+    """Return the entry points of xpl's groups in this Python; the first distribution of a name on the path counts."""
+    return tuple(_read_entry_points())
 
 
-def _found() -> Iterator[Entry]:
-    from importlib import metadata  # as long as all else of a short command
+def _read_entry_points() -> Iterator[RegisteredEntry]:
+    from importlib import metadata  # imported here: slow
 
-    # Not the working directory, where `python -m` looks first: what lies there may be anybody's.
+    # Without the working directory, which `python -m` puts first and which may hold untrusted files.
     here = Path.cwd()
-    places = [place for place in sys.path if place and Path(place).resolve() != here]
-    known: set[str] = set()
-    for distribution in metadata.distributions(path=places):
-        # Few have any of ours, and only of those more than this one file is read.
+    paths = [place for place in sys.path if place and Path(place).resolve() != here]
+    names: set[str] = set()
+    for distribution in metadata.distributions(path=paths):
+        # Few distributions have any: read more than this file only of those.
         if "[xpl." not in (distribution.read_text("entry_points.txt") or ""):
             continue
         name = distribution.metadata["Name"]
-        if name in known:
+        if name in names:
             continue
-        known.add(name)
+        names.add(name)
         for point in distribution.entry_points:
             if point.group in (RULES, WIRES, ENVS, ROBOTS, FORMATS, CONVENTIONS):
-                yield Entry(point.group, point.name, point.value, f"{name} {distribution.version}")
+                yield RegisteredEntry(point.group, point.name, point.value, f"{name} {distribution.version}")

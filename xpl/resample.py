@@ -1,4 +1,4 @@
-"""Images of another size: each filter as weights of a few pixels in each direction, with numpy alone.
+"""Image resampling with numpy: each filter as weights of a few pixels along each axis.
 
 The filters and their formulas are those of spec/v1/model_io.schema.json#/$defs/filter. Pixel centres lie at half
 integers. Without antialias the edge pixel is repeated, as OpenCV and torch do; with it, and for lanczos, weights beyond
@@ -26,22 +26,25 @@ _BITS = 22
 def resize(
     image: np.ndarray, size: tuple[int, int], kind: str, *, antialias: bool = False, as_bytes: bool = True
 ) -> np.ndarray:
-    """Return images (..., H, W, C) in another size.
+    """Resize images.
 
     Args:
-        image: uint8 or float32.
-        size: height and width, pixels.
-        kind: one of the filters.
-        antialias: widen the filter where the image shrinks.
-        as_bytes: round to whole numbers and clip to 0..255, as libraries do with 8-bit images.
+        image: (..., H, W, C) uint8, or float32 0..255.
+        size: (height, width), pixels.
+        kind: filter: nearest, area, bilinear, bicubic or lanczos.
+        antialias: widen the filter if the image shrinks.
+        as_bytes: round to integers and clip to 0..255, as libraries do with 8-bit images.
+
+    Returns:
+        (..., height, width, C), in the dtype of `image`; float32 without `as_bytes`.
     """
     values, axes = image, [(-2, size[1]), (-3, size[0])]
     if antialias and image.dtype == np.uint8 and kind in _SMOOTH and as_bytes:
-        for axis, wanted in axes:  # rounded after each direction, columns first
-            values = _along_bytes(values, axis, wanted, kind)
+        for axis, target in axes:  # rounded after each direction, columns first
+            values = _resize_axis_bytes(values, axis, target, kind)
         return np.ascontiguousarray(values)
-    for axis, wanted in reversed(axes):  # rows first are less work
-        values = _along(values, axis, wanted, kind, antialias=antialias)
+    for axis, target in reversed(axes):  # rows first are less work
+        values = _resize_axis(values, axis, target, kind, antialias=antialias)
     if not as_bytes:
         return np.ascontiguousarray(values, np.float32)
     # OpenCV's mean of an area rounds halves to even numbers, but for that of two by two pixels.
@@ -50,8 +53,8 @@ def resize(
     return np.clip(whole, 0, 255).astype(image.dtype)
 
 
-def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bool) -> np.ndarray:
-    """Return images whose `axis` has another size, float32 if anything is weighed."""
+def _resize_axis(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bool) -> np.ndarray:
+    """Resize one axis; the result is float32 if it is interpolated."""
     if values.shape[axis] == size:
         return values
     index, weight = taps(values.shape[axis], size, kind, antialias=antialias)
@@ -68,8 +71,8 @@ def _along(values: np.ndarray, axis: int, size: int, kind: str, *, antialias: bo
     return result
 
 
-def _along_bytes(values: np.ndarray, axis: int, size: int, kind: str) -> np.ndarray:
-    """Return uint8 images whose `axis` has another size, filtered as Pillow does it with 8-bit images."""
+def _resize_axis_bytes(values: np.ndarray, axis: int, size: int, kind: str) -> np.ndarray:
+    """Resize one axis of uint8 images as Pillow does with 8-bit images."""
     if values.shape[axis] == size:
         return values
     index, weight = _whole_taps(values.shape[axis], size, kind)
@@ -88,28 +91,38 @@ def _along_bytes(values: np.ndarray, axis: int, size: int, kind: str) -> np.ndar
 
 @lru_cache(maxsize=128)
 def _whole_taps(before: int, after: int, kind: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels each new one is made of, and how much of each, (after, taps) int32, one being 2 ** 22."""
-    index, weight = _weighed(before, after, kind, antialias=True)
+    """Return source indices and weights of each new pixel, (after, taps) int64 and int32; a weight of 1 is 2 ** 22."""
+    index, weight = _smooth_taps(before, after, kind, antialias=True)
     scaled = weight * (1 << _BITS)
     return index, np.trunc(scaled + np.copysign(0.5, scaled)).astype(np.int32)
 
 
 @lru_cache(maxsize=128)
 def taps(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels each new one is made of, (after, taps) int64, and how much of each, (after, taps) float32."""
+    """Return source indices and weights of each new pixel along one axis.
+
+    Args:
+        before: size of the axis, pixels.
+        after: new size of the axis, pixels.
+        kind: filter: nearest, area, bilinear, bicubic or lanczos.
+        antialias: widen the filter if the image shrinks.
+
+    Returns:
+        Indices (after, taps) int64 and weights (after, taps) float32, which add up to 1.
+    """
     scale = before / after
     if kind == "nearest":
-        # Added up, as Pillow and OpenCV do: between two pixels the rounding of these sums decides.
+        # A cumulative sum, as in Pillow and OpenCV: its rounding decides between two pixels.
         nearest = np.cumsum(np.concatenate(([0.5 * scale], np.full(after - 1, scale)))).astype(np.int64)
         return np.minimum(nearest, before - 1)[:, None], np.ones((after, 1), np.float32)
     if kind == "area":
         return _overlaps(before, after)
-    index, weight = _weighed(before, after, kind, antialias=antialias)
+    index, weight = _smooth_taps(before, after, kind, antialias=antialias)
     return index, weight.astype(np.float32)
 
 
-def _weighed(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return which pixels each new one is made of, and how much of each, (after, taps) float64, by a smooth filter."""
+def _smooth_taps(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return source indices and weights (after, taps) float64 of a smooth filter."""
     scale = before / after
     weigh, support = _kernel(kind, antialias=antialias)
     widened = max(scale, 1.0) if antialias else 1.0
@@ -126,7 +139,7 @@ def _weighed(before: int, after: int, kind: str, *, antialias: bool) -> tuple[np
 
 
 def _overlaps(before: int, after: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weigh each pixel by how much of it lies below the new one."""
+    """Return source indices and weights by the overlap with each new pixel."""
     edges = np.arange(after + 1) * (before / after)
     first = np.floor(edges[:-1]).astype(np.int64)
     index = first[:, None] + np.arange(int(np.ceil(before / after)) + 1)
@@ -141,7 +154,7 @@ _SMOOTH = ("bilinear", "bicubic", "lanczos")
 
 
 def _kernel(kind: str, *, antialias: bool) -> tuple[Callable[[np.ndarray], np.ndarray], float]:
-    """Return a filter's weight of a distance in pixels, and how far it reaches."""
+    """Return a filter's weight function of the distance in pixels, and its support."""
     if kind == "bilinear":
         return lambda x: np.clip(1.0 - np.abs(x), 0.0, None), 1.0
     if kind == "bicubic":

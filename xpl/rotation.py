@@ -173,7 +173,16 @@ def angle_between(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
 
 
 def slerp(first: ArrayLike, second: ArrayLike, fraction: ArrayLike) -> NDArray[np.float64]:
-    """Interpolate unit quaternions (..., 4) at constant speed, the shorter way; `fraction` (...) 0 to 1."""
+    """Interpolate unit quaternions at constant angular speed, the shorter way round.
+
+    Args:
+        first: (..., 4) rotation at fraction 0.
+        second: (..., 4) rotation at fraction 1.
+        fraction: (...) values, 0..1.
+
+    Returns:
+        (..., 4) float64.
+    """
     step = to_axis_angle(multiply(conjugate(first), second))
     part = np.asarray(fraction, dtype=np.float64)[..., None] * step
     return multiply(first, from_axis_angle(part))

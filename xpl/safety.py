@@ -1,12 +1,12 @@
-"""Safety between a policy and a robot: limits are kept and told; old, broken and wild actions are not executed.
+"""Safety supervisor between a policy and a robot: enforces limits; old, invalid and distant actions are not executed.
 
     supervisor = Supervisor(get_embodiment("arx_x5"), "joint", frequency=25)
     supervisor.begin(first_observation)
     verdict = supervisor.check(action, age_s=now - time_of_the_observation_that_it_answers)
     robot.command(verdict.action)
 
-`xpl.guard.GuardedEnv` does this in front of a task environment. An environment that keeps its limits itself, as a
-simulation does that models them, needs no supervisor.
+`xpl.guard.GuardedEnv` does this in front of an environment. An environment that enforces its limits itself needs no
+supervisor.
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ AGE_STEPS = 10.0
 """Control steps after which an action is too old: long enough for a large model far away, short enough that the scene
 is still the one it was meant for (0.4 s at 25 Hz)."""
 FIRST_STEPS = 3.0
-"""Control steps of motion at full speed that the first action may ask for. Farther away is no motion but a mistake:
-other units, another order of joints, another robot."""
+"""Most control steps of motion at full speed to the first action. A farther one is an error: other units, another
+order of joints, another robot."""
 
 _SLACK = 1e-5  # rounding of float32 actions is no violation
-_INSIDE = 0.999  # of a bound: what is nearer to it is looked at exactly
+_INSIDE = 0.999  # of a bound: a value nearer to it is checked exactly
 _FLOAT32 = np.dtype(np.float32)
 _LEAST_NORM = 1e-3  # below it a quaternion has no direction
 
 
 @dataclass(frozen=True)
 class Correction:
-    """One difference between what was commanded and what is executed.
+    """One difference between the commanded and the executed action.
 
     Attributes:
         kind: "joint_limit" (rad past it), "joint_speed" (rad/s past it), "gripper_range" (past 0 or 1),
             "quaternion_norm" (distance of its length from 1), "position_speed" (m/s past it), "rotation_speed" (rad/s
             past it), "action_age" (s past the limit), "far_first_action" (rad or m past what is allowed),
             "non_finite_action" (number of values).
-        prefix: the arm, "" where it is the only one or all are meant.
+        prefix: prefix of the arm, "" for the only one or for all.
         where: the joint, or the key of the action.
-        amount: how far, the largest of the kind for this arm.
+        amount: largest amount of the kind for this arm.
     """
 
     kind: str
@@ -67,35 +67,34 @@ class Correction:
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What is to be executed.
+class SafetyVerdict:
+    """Result of a check: the action to execute.
 
     Attributes:
-        action: the action step; the given one, untouched, if nothing had to be corrected.
-        corrections: what had to be.
-        held: why the pose is held instead of executing the action, a kind; None if it is executed.
-        ends: whether the episode has to end for that reason.
+        action: the action step; the same object if nothing was corrected.
+        corrections: the corrections.
+        hold_reason: kind of the correction for which the pose is held; None if the action is executed.
+        ends: whether the episode must end for that reason.
     """
 
     action: Action
     corrections: tuple[Correction, ...] = ()
-    held: str | None = None
+    hold_reason: str | None = None
     ends: bool = False
 
 
 class Supervisor:
-    """Keeps the commands of one robot within its limits, by the embodiment in the spec.
+    """Keeps the commands of one robot within the limits of its embodiment.
 
-    What is not known of a robot (limits of a hand, joints without a published speed) bounds nothing, or is bounded by
-    the speeds that the standard calls a jump. The pose that is held is the last one commanded, and before the first
-    command the observed one.
+    Unknown limits (of a hand, joints without a published speed) are not enforced, or the standard's speed limits apply.
+    A hold is at the last commanded pose, before the first command at the observed one.
 
     Args:
         embodiment: the robot.
         action_type: "joint" or "ee".
         frequency: control rate, Hz.
         max_age_s: seconds after which an action is too old to be executed; `AGE_STEPS` control steps by default.
-        first_steps: control steps of motion that the first action may ask for; `math.inf` for no bound.
+        first_steps: most control steps of motion at full speed to the first action; `math.inf` for no limit.
 
     Raises:
         ValueError: a number is not positive.
@@ -118,17 +117,17 @@ class Supervisor:
         self.max_age_s = AGE_STEPS * self.period if max_age_s is None else max_age_s
         self._first_steps = first_steps
         self._parts = _parts(embodiment, action_type, self.period)
-        self._poses = [part for part in self._parts if isinstance(part, _Pose)]
-        self._held: list[float] | None = None
+        self._poses = [part for part in self._parts if isinstance(part, _PoseBounds)]
+        self._last_command: list[float] | None = None
         self._is_first = True
 
     def begin(self, obs: Observation) -> None:
         """Start an episode from the pose in its first observation.
 
         Raises:
-            ObservationError: the state lacks what actions command.
+            ObservationError: the state lacks a field of the action type.
         """
-        self._held = pack_state(obs, self._embodiment, self._action_type).tolist()
+        self._last_command = pack_state(obs, self._embodiment, self._action_type).tolist()
         self._is_first = True
 
     def read(self, action: Action) -> NDArray[np.float64]:
@@ -141,23 +140,26 @@ class Supervisor:
         if extra:
             raise ActionError(f"the action has {', '.join(extra)}; send exactly {', '.join(self._dims)}")
         flat = pack(action, self._embodiment, self._action_type).astype(np.float64)
-        self._with_direction(flat.tolist())
+        self._check_quaternions(flat.tolist())
         return flat
 
-    def check(self, action: Action, age_s: float = 0.0) -> Verdict:
-        """Judge one action step; what the verdict says is taken as executed.
+    def check(self, action: Action, age_s: float = 0.0) -> SafetyVerdict:
+        """Check one action step; the action of the verdict counts as executed.
 
         Args:
             action: the action step.
-            age_s: time since the observation that it answers, without the steps of its chunk before it, s.
+            age_s: time since the observation of its inference, minus the earlier steps of its chunk, s.
+
+        Returns:
+            The action to execute, and its corrections.
 
         Raises:
-            ActionError: see `read`. Nothing is to be executed then.
+            ActionError: see `read`. Nothing may be executed.
             RuntimeError: no episode has begun.
         """
-        if self._held is None:
+        if self._last_command is None:
             raise RuntimeError("no episode has begun: call begin with its first observation")
-        values = self._numbers(action)
+        values = self._values(action)
         if not all(map(math.isfinite, values)):
             bad = [
                 key for key, part in unpack(values, self._embodiment, self._action_type).items() if not _finite(part)
@@ -166,24 +168,26 @@ class Supervisor:
         if age_s > self.max_age_s:
             return self._hold(Correction(ACTION_AGE, "", "", age_s - self.max_age_s))
         if self._is_first:
-            far = [part.excess(np.array(values), np.array(self._held), self._first_steps) for part in self._parts]
+            far = [
+                part.excess(np.array(values), np.array(self._last_command), self._first_steps) for part in self._parts
+            ]
             past, where = max(far)
             if past > _SLACK:
                 return self._hold(Correction(FAR_FIRST_ACTION, "", where, past), ends=True)
         self._is_first = False
-        bent = [part for part in self._parts if not part.is_plain(values, self._held)]
+        bent = [part for part in self._parts if not part.is_plain(values, self._last_command)]
         if not bent:
-            self._held = values
-            return Verdict(action)
-        held, executed = np.array(self._held), np.array(values)
+            self._last_command = values
+            return SafetyVerdict(action)
+        held, executed = np.array(self._last_command), np.array(values)
         corrections = tuple(found for part in bent for found in part.bound(executed, held) if found.amount > _SLACK)
-        self._held = executed.tolist()
+        self._last_command = executed.tolist()
         if not corrections:
-            return Verdict(action)
-        return Verdict(unpack(executed, self._embodiment, self._action_type), corrections)
+            return SafetyVerdict(action)
+        return SafetyVerdict(unpack(executed, self._embodiment, self._action_type), corrections)
 
-    def _numbers(self, action: Action) -> list[float]:
-        """Return what `read` does, as plain numbers; what a server sends takes the short way."""
+    def _values(self, action: Action) -> list[float]:
+        """Return the values of `read` as a list; float32 arrays take a fast path."""
         values: list[float] = []
         for key, dim in self._dims.items():
             value = action.get(key)
@@ -192,23 +196,25 @@ class Supervisor:
             values += value.tolist()
         else:
             if len(action) == len(self._dims):
-                self._with_direction(values)
+                self._check_quaternions(values)
                 return values
         exact: list[float] = self.read(action).tolist()
         return exact
 
-    def _with_direction(self, values: list[float]) -> None:
+    def _check_quaternions(self, values: list[float]) -> None:
         for part in self._poses:
             if part.norm(values) < _LEAST_NORM:
                 raise ActionError(f"{part.key} must hold a unit quaternion, got {values[part.turn]}")
 
-    def _hold(self, reason: Correction, *, ends: bool = False) -> Verdict:
-        assert self._held is not None  # noqa: S101 - `check` has looked
-        return Verdict(unpack(self._held, self._embodiment, self._action_type), (reason,), reason.kind, ends)
+    def _hold(self, reason: Correction, *, ends: bool = False) -> SafetyVerdict:
+        assert self._last_command is not None  # noqa: S101 - `check` has looked
+        return SafetyVerdict(
+            unpack(self._last_command, self._embodiment, self._action_type), (reason,), reason.kind, ends
+        )
 
 
 @dataclass(frozen=True)
-class _Joints:
+class _JointBounds:
     """Joint angles of one arm, within limits and speeds; columns of the flat action."""
 
     prefix: str
@@ -221,11 +227,11 @@ class _Joints:
     plain: Sequence[tuple[float, float, float]]
     """Of each joint its limits, and a little less than its way of one period."""
 
-    def is_plain(self, wanted: list[float], held: list[float]) -> bool:
+    def is_plain(self, target: list[float], held: list[float]) -> bool:
         """Tell by plain numbers that nothing has to be corrected, as in most control steps."""
         return all(
             lower <= value <= upper and abs(value - before) <= most
-            for value, before, (lower, upper, most) in zip(wanted[self.columns], held[self.columns], self.plain)
+            for value, before, (lower, upper, most) in zip(target[self.columns], held[self.columns], self.plain)
         )
 
     def excess(self, flat: NDArray[np.float64], held: NDArray[np.float64], steps: float) -> tuple[float, str]:
@@ -233,25 +239,25 @@ class _Joints:
         return _worst(past, self.names)
 
     def bound(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> list[Correction]:
-        wanted, before, most = flat[self.columns].copy(), held[self.columns], self.velocity * self.period
-        allowed = np.clip(wanted, self.lower, self.upper)
+        target, before, most = flat[self.columns].copy(), held[self.columns], self.velocity * self.period
+        allowed = np.clip(target, self.lower, self.upper)
         bounded = before + np.clip(allowed - before, -most, most)
         flat[self.columns] = bounded
-        past, where = _worst(np.abs(wanted - allowed), self.names)
-        fast, place = _worst(np.abs(allowed - bounded), self.names)
+        past, where = _worst(np.abs(target - allowed), self.names)
+        fast, fastest = _worst(np.abs(allowed - bounded), self.names)
         return [
             Correction(JOINT_LIMIT, self.prefix, where, past),
-            Correction(JOINT_SPEED, self.prefix, place, fast / self.period if fast > _SLACK else 0.0),
+            Correction(JOINT_SPEED, self.prefix, fastest, fast / self.period if fast > _SLACK else 0.0),
         ]
 
 
 @dataclass(frozen=True)
-class _Pose:
+class _PoseBounds:
     """Flange pose of one arm, within the speeds that the standard calls a jump; columns of the flat action."""
 
     prefix: str
     key: str
-    place: slice
+    position: slice
     turn: slice
     period: float
     plain: tuple[float, float]
@@ -275,8 +281,8 @@ class _Pose:
         far = moved - spec.POSITION_SPEED * self.period
         wide = turned - spec.ROTATION_SPEED * self.period
         if far > _SLACK:
-            before = held[self.place]
-            flat[self.place] = before + (flat[self.place] - before) * (1.0 - far / moved)
+            before = held[self.position]
+            flat[self.position] = before + (flat[self.position] - before) * (1.0 - far / moved)
         if wide > _SLACK:
             flat[self.turn] = rotation.slerp(held[self.turn], flat[self.turn], 1.0 - wide / turned)
         return [
@@ -285,16 +291,16 @@ class _Pose:
             Correction(ROTATION_SPEED, self.prefix, self.key, wide / self.period if wide > _SLACK else 0.0),
         ]
 
-    def is_plain(self, wanted: list[float], held: list[float]) -> bool:
+    def is_plain(self, target: list[float], held: list[float]) -> bool:
         """Tell by few numbers that a pose needs no correction: most do not, and this is asked in every control step.
 
         A little inside of the bounds, where the exact way could not tell otherwise.
         """
-        (x, y, z), (w, i, j, k) = wanted[self.place], wanted[self.turn]
-        (a, b, c), (p, q, r, s) = held[self.place], held[self.turn]
+        (x, y, z), (w, i, j, k) = target[self.position], target[self.turn]
+        (a, b, c), (p, q, r, s) = held[self.position], held[self.turn]
         reach, least = self.plain
         moved = (x - a) * (x - a) + (y - b) * (y - b) + (z - c) * (z - c)
-        norm = self.norm(wanted)
+        norm = self.norm(target)
         return (
             moved <= reach
             and abs(norm - 1.0) <= spec.QUATERNION_TOLERANCE
@@ -302,12 +308,12 @@ class _Pose:
         )
 
     def _distance(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> tuple[float, float]:
-        moved = float(np.linalg.norm(flat[self.place] - held[self.place]))
+        moved = float(np.linalg.norm(flat[self.position] - held[self.position]))
         return moved, float(rotation.angle_between(held[self.turn], rotation.normalise(flat[self.turn])))
 
 
 @dataclass(frozen=True)
-class _Gripper:
+class _GripperBounds:
     """A parallel gripper within its range. Its fingers move at their own speed: asking for more is how it is used."""
 
     prefix: str
@@ -317,18 +323,20 @@ class _Gripper:
     def excess(self, _flat: NDArray[np.float64], _held: NDArray[np.float64], _steps: float) -> tuple[float, str]:
         return 0.0, self.key
 
-    def is_plain(self, wanted: list[float], _held: list[float]) -> bool:
-        return bool(spec.GRIPPER_CLOSED <= wanted[self.column] <= spec.GRIPPER_OPEN)
+    def is_plain(self, target: list[float], _held: list[float]) -> bool:
+        return bool(spec.GRIPPER_CLOSED <= target[self.column] <= spec.GRIPPER_OPEN)
 
     def bound(self, flat: NDArray[np.float64], _held: NDArray[np.float64]) -> list[Correction]:
-        wanted = float(flat[self.column])
-        flat[self.column] = min(max(wanted, spec.GRIPPER_CLOSED), spec.GRIPPER_OPEN)
-        return [Correction(GRIPPER_RANGE, self.prefix, self.key, abs(wanted - float(flat[self.column])))]
+        target = float(flat[self.column])
+        flat[self.column] = min(max(target, spec.GRIPPER_CLOSED), spec.GRIPPER_OPEN)
+        return [Correction(GRIPPER_RANGE, self.prefix, self.key, abs(target - float(flat[self.column])))]
 
 
-def _parts(embodiment: Embodiment, action_type: str, period: float) -> list[_Joints | _Pose | _Gripper]:
+def _parts(
+    embodiment: Embodiment, action_type: str, period: float
+) -> list[_JointBounds | _PoseBounds | _GripperBounds]:
     arm_key, ee_key = spec.ACTION_KEYS[action_type]
-    parts: list[_Joints | _Pose | _Gripper] = []
+    parts: list[_JointBounds | _PoseBounds | _GripperBounds] = []
     at = 0
     for arm in embodiment.arms:
         if arm_key == spec.State.EE_POSE:
@@ -338,23 +346,23 @@ def _parts(embodiment: Embodiment, action_type: str, period: float) -> list[_Joi
             end = at + arm.dof
             parts.append(_joints(arm, slice(at, end), period))
         if arm.gripper == "parallel_gripper":
-            parts.append(_Gripper(arm.prefix, arm.prefix + ee_key, end))
+            parts.append(_GripperBounds(arm.prefix, arm.prefix + ee_key, end))
         at = end + arm.ee_dim
     return parts
 
 
-def _pose(prefix: str, place: slice, turn: slice, period: float) -> _Pose:
+def _pose(prefix: str, place: slice, turn: slice, period: float) -> _PoseBounds:
     reach, angle = _INSIDE * spec.POSITION_SPEED * period, _INSIDE * spec.ROTATION_SPEED * period
     least = math.cos(angle / 2) if angle < math.pi else 0.0  # no turn is longer
-    return _Pose(prefix, prefix + spec.State.EE_POSE, place, turn, period, (reach * reach, least))
+    return _PoseBounds(prefix, prefix + spec.State.EE_POSE, place, turn, period, (reach * reach, least))
 
 
-def _joints(arm: Arm, columns: slice, period: float) -> _Joints:
+def _joints(arm: Arm, columns: slice, period: float) -> _JointBounds:
     names = arm.joint_names or tuple(f"joint{index + 1}" for index in range(arm.dof))
     lower = np.full(arm.dof, -math.inf) if arm.lower is None else arm.lower
     upper = np.full(arm.dof, math.inf) if arm.upper is None else arm.upper
     velocity = np.full(arm.dof, spec.JOINT_SPEED) if arm.velocity is None else arm.velocity
-    return _Joints(
+    return _JointBounds(
         prefix=arm.prefix,
         columns=columns,
         names=tuple(arm.prefix + name for name in names),

@@ -1,6 +1,6 @@
-"""Numbers in files that training left behind: JSON, NPZ without pickles, or safetensors, whose header is JSON.
+"""Arrays in files of a training: JSON, NPZ without pickles, safetensors.
 
-Files may be a stranger's: what is read of one is limited before it takes memory, and nothing in one is executed.
+Files are untrusted input: sizes are checked before memory is allocated, and nothing is executed.
 """
 
 from __future__ import annotations
@@ -20,25 +20,25 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 SIZE_LIMIT = 64 * 2**20
-"""Bytes that a file of numbers may have, and that an array in it may unpack to."""
+"""Most bytes of a file, and of an unpacked array in it."""
 
 _KINDS = {"F64": np.float64, "F32": np.float32, "F16": np.float16, "I64": np.int64, "I32": np.int32}
 
 
 def find(file: str, folders: Sequence[Path]) -> Path | None:
-    """Return where a file is, in the first of the folders that has it; None if none has."""
+    """Return the path of a file in the first folder that has it; None if none has."""
     return next((folder / file for folder in folders if (folder / file).is_file()), None)
 
 
 def read(path: Path, key: Sequence[str]) -> Any:
-    """Return what a file holds under a key: an array, or JSON's own values.
+    """Return the value of a key in a file: an array, or a JSON value.
 
     Args:
-        path: its ending says what it is: .npz, .safetensors, else JSON.
-        key: words; in NPZ and safetensors joined by / or by a dot.
+        path: file; the suffix is the format: .npz, .safetensors, otherwise JSON.
+        key: path of the key; joined by / or by a dot in NPZ and safetensors.
 
     Raises:
-        ConversionError: if it is too large, is not what its ending says, or has no such key.
+        ConversionError: the file is too large, has another format, or no such key.
     """
     if path.stat().st_size > SIZE_LIMIT:
         raise ConversionError(
@@ -57,18 +57,18 @@ def names(path: Path) -> list[str]:
     """Return the names of a safetensors file's arrays.
 
     Raises:
-        ConversionError: if it is too large, or is not one.
+        ConversionError: it is too large, or no safetensors file.
     """
     if path.stat().st_size > SIZE_LIMIT:
         raise ConversionError(f"{path} is larger than files of numbers may be: at most {SIZE_LIMIT} bytes")
     return sorted(_safetensors(path))
 
 
-def _name(words: Sequence[str], there: Mapping[str, Any], path: Path) -> str:
+def _name(words: Sequence[str], names: Mapping[str, Any], path: Path) -> str:
     for joint in ("/", "."):
-        if joint.join(words) in there:
+        if joint.join(words) in names:
             return joint.join(words)
-    raise ConversionError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(there))[:400]}")
+    raise ConversionError(f"{path} has no {'/'.join(words)}; it has {', '.join(sorted(names))[:400]}")
 
 
 def _npz(path: Path, words: Sequence[str]) -> np.ndarray:
@@ -79,12 +79,12 @@ def _npz(path: Path, words: Sequence[str]) -> np.ndarray:
         if sizes[name] > SIZE_LIMIT:
             raise ConversionError(f"{path}: {name} unpacks to {sizes[name]} bytes, at most {SIZE_LIMIT}")
         with np.load(path, allow_pickle=False) as opened:
-            found: np.ndarray = opened[name]
+            array: np.ndarray = opened[name]
     except (OSError, EOFError, MemoryError, ValueError, NotImplementedError, zipfile.BadZipFile, zlib.error) as error:
         if isinstance(error, ConversionError):
             raise
         raise ConversionError(f"{path} is not a file of numpy arrays: {error}") from None
-    return found
+    return array
 
 
 def _document(path: Path) -> Any:
@@ -97,8 +97,8 @@ def _document(path: Path) -> Any:
 def _entry(document: object, words: Sequence[str], path: Path) -> Any:
     for word in words:
         if not isinstance(document, Mapping) or word not in document:
-            there = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__
-            raise ConversionError(f"{path} has no {'/'.join(words)}: at {word!r} there is {there[:400]}")
+            found_keys = ", ".join(map(str, document)) if isinstance(document, Mapping) else type(document).__name__
+            raise ConversionError(f"{path} has no {'/'.join(words)}: at {word!r} there is {found_keys[:400]}")
         document = document[word]
     return document
 

@@ -1,6 +1,6 @@
-"""Variants of a policy: one adapter with other inputs, another network or other weights.
+"""Variants of a policy: the same adapter with other inputs, another network or other weights.
 
-policy.yml describes them, and the key `variant` of a run's configuration chooses one.
+policy.yml declares them, and the key `variant` of a run's configuration selects one.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ class VariantError(ValueError):
     """A configuration names a variant that policy.yml does not have."""
 
 
-def chosen(manifest: Mapping[str, Any], name: str | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Return policy.yml as a variant has it, and the merge patch of deploy.yml that belongs to it.
+def apply_variant(manifest: Mapping[str, Any], name: str | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Return policy.yml of a variant, and its merge patch of deploy.yml.
 
     Args:
-        manifest: what policy.yml holds.
-        name: of the variant; None is the policy itself, which changes nothing.
+        manifest: content of policy.yml.
+        name: name of the variant; None for the policy itself.
 
     Raises:
-        VariantError: if there is no such variant.
+        VariantError: there is no such variant.
     """
     if name is None:
         return manifest, {}
-    known = manifest.get(_VARIANTS)
-    if not isinstance(known, Mapping) or not isinstance(known.get(name), Mapping):
-        there = ", ".join(map(str, known)) if isinstance(known, Mapping) and known else "none"
-        raise VariantError(f"policy.yml has no variant {name!r}; its variants: {there}")
-    patch = {key: value for key, value in known[name].items() if key != _DEPLOY}
-    return merged(manifest, {**patch, _VARIANTS: None}), known[name].get(_DEPLOY) or {}
+    variants = manifest.get(_VARIANTS)
+    if not isinstance(variants, Mapping) or not isinstance(variants.get(name), Mapping):
+        names = ", ".join(map(str, variants)) if isinstance(variants, Mapping) and variants else "none"
+        raise VariantError(f"policy.yml has no variant {name!r}; its variants: {names}")
+    patch = {key: value for key, value in variants[name].items() if key != _DEPLOY}
+    return merge_patch(manifest, {**patch, _VARIANTS: None}), variants[name].get(_DEPLOY) or {}
 
 
-def merged(document: object, patch: object) -> Any:
+def merge_patch(document: object, patch: object) -> Any:
     """Return a document after a JSON merge patch (RFC 7396); neither is changed."""
     if not isinstance(patch, Mapping):
         return patch
@@ -44,5 +44,5 @@ def merged(document: object, patch: object) -> Any:
         if value is None:
             result.pop(key, None)
         else:
-            result[key] = merged(result.get(key), value)
+            result[key] = merge_patch(result.get(key), value)
     return result

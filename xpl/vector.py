@@ -1,11 +1,11 @@
-"""Environments in worker processes, seen as one: what evaluation loops call TASK_ENV.
+"""Vectorised environment: environments in worker processes, with the interface that benchmarks call TASK_ENV.
 
     with contextlib.closing(VectorEnv(folder / "client.py", {**config, "num_envs": 8}, workers=4)) as env:
         env.reset(seeds)
 
-Every worker plays its share of the environments. Results are those of the same environments in one process, bit by bit;
-arrays of observations are read-only. A worker that crashes or hangs spoils the running episodes of its own environments
-and no others, and is started again for the next reset.
+Each worker runs its share of the environments. Results are bit-identical to those of one process; arrays of
+observations are read-only. If a worker crashes or hangs, the running episodes of its environments end with an
+infrastructure error, and it is restarted at the next reset.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from xpl.simulator.worker_pool import Calls
 
 INFRASTRUCTURE = "infrastructure"
-"""`end_reason` of an episode that says nothing about the policy: what it was played with failed."""
+"""`end_reason` of an infrastructure error: a failure that is not the policy's."""
 
 _RUNNING: list[Any] = ["get_running_env_idx_list", []]
 _RESULTS: list[Any] = ["results", []]
@@ -32,7 +32,7 @@ _RENDER = "render"
 
 
 def shares(total: int, workers: int) -> list[range]:
-    """Return which of so many environments each worker plays: neighbours, in equal parts as far as that goes."""
+    """Return the environments of each worker: consecutive indices, in equal shares as far as possible."""
     bounds = [total * worker // workers for worker in range(workers + 1)]
     return [range(first, end) for first, end in zip(bounds, bounds[1:])]
 
@@ -42,15 +42,14 @@ class VectorEnv:
 
     Args:
         client: the package's client file, which defines `make(config)`.
-        config: configuration; `num_envs` (1) environments in all, of which each worker gets its share.
-        workers: processes, at most one for each environment.
-        python: interpreter of the workers; this one by default. An environment whose libraries clash with ours lives
-            in one of its own.
-        limits: how long a worker may take before it counts as hung.
+        config: configuration; `num_envs` (1) is the number of environments of all workers.
+        workers: number of processes, at most one per environment.
+        python: interpreter of the workers; this one by default.
+        limits: time limits after which a worker counts as hung.
 
     Raises:
-        ValueError: the configuration is not one of this environment, or there are more workers than environments.
-        EnvRaisedError: the environment cannot be made.
+        ValueError: the environment refuses the configuration, or there are more workers than environments.
+        EnvRaisedError: the environment raised another error.
         EnvLostError: a process ended, or did not answer, while it was made.
     """
 
@@ -80,20 +79,20 @@ class VectorEnv:
 
     @property
     def guarded(self) -> bool:
-        """Whether the environment keeps its robot's limits itself."""
+        """Whether the environment enforces its robot's limits itself."""
         return self._workers.guarded
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of the workers that live."""
+        """Process ids of the running workers."""
         return self._workers.pids
 
     def reset(self, seed: Sequence[int] | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Start a new episode in every environment; workers that were lost are started again before.
+        """Start a new episode in every environment; lost workers are restarted first.
 
         Args:
             seed: one seed per environment; None counts on from the seeds used before.
-            options: what the environment takes besides.
+            options: further options of the environment's reset.
 
         Raises:
             ValueError: wrong number of seeds, or options that the environment refuses.
@@ -106,11 +105,11 @@ class VectorEnv:
         self._seeds, self._next_seed = list(seeds), seeds[-1] + 1
         self._running = [[] for _ in self._shares]
         self._last, self._final = {}, {}
-        # All that was ever asked for: a worker that was started again has not heard of it.
-        wanted = {**self._options, **(options or {})}
-        more = [wanted] if wanted else []
-        # The first observation comes along: an environment that is lost later shows its last one.
-        asked: dict[int, Calls] = {
+        # All options of earlier resets, too: a restarted worker has none of them.
+        merged_options = {**self._options, **(options or {})}
+        more = [merged_options] if merged_options else []
+        # With the first observation: an environment that is lost later repeats its last one.
+        calls: dict[int, Calls] = {
             worker: [
                 [spec.Method.RESET, [self._seeds[part[0] : part[-1] + 1], *more]],
                 ["get_obs_batch", [list(range(len(part)))]],
@@ -118,10 +117,10 @@ class VectorEnv:
             ]
             for worker, part in enumerate(self._shares)
         }
-        for worker, (_, observations, running) in self._workers.reset(asked).items():
-            self._saw(worker, range(len(observations)), observations)
+        for worker, (_, observations, running) in self._workers.reset(calls).items():
+            self._store_observations(worker, range(len(observations)), observations)
             self._running[worker] = running
-        self._options = wanted
+        self._options = merged_options
 
     def get_obs(self) -> ObservationDict:
         """Return the observation of the only environment.
@@ -129,17 +128,17 @@ class VectorEnv:
         Raises:
             ValueError: there are several; use `get_obs_batch`.
         """
-        return self.get_obs_batch([self._single()])[0]
+        return self.get_obs_batch([self._only_index()])[0]
 
     def get_obs_batch(
         self,
         env_idx_list: Sequence[int] | None = None,
         last_frame: bool = False,  # noqa: FBT001, FBT002 - benchmarks may pass it by position
     ) -> list[ObservationDict]:
-        """Return the observations of some environments, in the order asked for; all workers observe at once.
+        """Return the observations of some environments, in the order of the list; all workers observe in parallel.
 
         Args:
-            env_idx_list: which; None for all that are running. One that is lost shows its last observation.
+            env_idx_list: indices; None for all running environments. A lost one repeats its last observation.
             last_frame: return each environment's last observation again.
 
         Raises:
@@ -148,10 +147,10 @@ class VectorEnv:
         chosen = self.get_running_env_idx_list() if env_idx_list is None else list(env_idx_list)
         if not last_frame:
             parts = self._by_worker(chosen)
-            asked = {worker: [["get_obs_batch", [local]], _RUNNING] for worker, local in parts.items()}
-            answers = self._workers.run(asked)
+            calls = {worker: [["get_obs_batch", [local]], _RUNNING] for worker, local in parts.items()}
+            answers = self._workers.run(calls)
             for worker, (observations, running) in answers.items():
-                self._saw(worker, parts[worker], observations)
+                self._store_observations(worker, parts[worker], observations)
                 self._running[worker] = running
         missing = [index for index in chosen if index not in self._last]
         if missing:
@@ -160,13 +159,13 @@ class VectorEnv:
 
     def take_action(self, action: Action) -> Report:
         """Execute one action step in the only environment; return its report."""
-        return self.take_action_batch([action], [self._single()])[0]
+        return self.take_action_batch([action], [self._only_index()])[0]
 
     def take_action_batch(self, actions: Sequence[Action], env_idx_list: Sequence[int]) -> list[Report]:
-        """Execute one action step in each of some environments; all workers do so at once.
+        """Execute one action in each environment of the list; all workers do so in parallel.
 
         Returns:
-            the environment's report of each, where it gives one; with `env_idx`, and `end_reason` if it is lost.
+            The environments' reports, with `env_idx`, and `end_reason` if it is lost.
 
         Raises:
             ActionError: the environment refuses an action; others may have moved.
@@ -174,18 +173,21 @@ class VectorEnv:
         """
         if len(actions) != len(env_idx_list) or len(set(env_idx_list)) != len(env_idx_list):
             raise ValueError(f"expected one action for each environment once, got {len(actions)} for {env_idx_list}")
-        given = dict(zip(env_idx_list, actions))
+        action_of = dict(zip(env_idx_list, actions))
         parts = self._by_worker(env_idx_list)
-        asked = {
-            worker: [["take_action_batch", [[given[self._shares[worker][each]] for each in local], local]], _RUNNING]
+        calls = {
+            worker: [
+                ["take_action_batch", [[action_of[self._shares[worker][each]] for each in local], local]],
+                _RUNNING,
+            ]
             for worker, local in parts.items()
         }
         reports: dict[int, Any] = {}
-        for worker, (told, running) in self._workers.run(asked).items():
-            reports.update(zip((self._shares[worker][each] for each in parts[worker]), told or ()))
+        for worker, (worker_reports, running) in self._workers.run(calls).items():
+            reports.update(zip((self._shares[worker][each] for each in parts[worker]), worker_reports or ()))
             ended = set(self._running[worker]).difference(running)
             self._running[worker] = running
-            if ended:  # whose outcome outlives the worker from now on
+            if ended:  # keep the outcome in case the worker is lost later
                 outcomes = self._results([worker])
                 self._final.update({index: outcomes[index] for index in outcomes if self._owner[index][1] in ended})
         return [self._report(index, reports.get(index)) for index in env_idx_list]
@@ -208,20 +210,22 @@ class VectorEnv:
         """
         if not self._seeds:
             raise RuntimeError("no episode has begun: call reset first")
-        told = self._results(range(len(self._shares)))
-        return [told.get(env) or self._final.get(env) or self._spoilt(env) for env in range(self._total)]
+        outcomes = self._results(range(len(self._shares)))
+        return [
+            outcomes.get(env) or self._final.get(env) or self._infrastructure_error(env) for env in range(self._total)
+        ]
 
     def finish_episode(self) -> None:
-        """Pass on what debug clients call at the end of an episode, where the environment knows it."""
+        """Call `finish_episode` of the environments, if they have it."""
         if _FINISH in self._workers.methods:
             self._workers.run({worker: [[_FINISH, []]] for worker in range(len(self._shares))})
 
     def render(self, env_idx: int = 0, camera: str | None = None) -> Any:
-        """Return what a camera sees now, (H, W, 3) uint8 RGB, for people.
+        """Return the current image of a camera, (H, W, 3) uint8 RGB, for people.
 
         Raises:
             ValueError: there is no such environment or camera.
-            EnvRaisedError: the environment draws nothing, or cannot do so here.
+            EnvRaisedError: the environment cannot render.
             EnvLostError: the environment is lost.
         """
         ((worker, local),) = self._by_worker([env_idx]).items()
@@ -236,13 +240,13 @@ class VectorEnv:
 
     # -- indices -------------------------------------------------------------------------------------------------------
 
-    def _single(self) -> int:
+    def _only_index(self) -> int:
         if self._total != 1:
             raise ValueError(f"there are {self._total} environments; use get_obs_batch and take_action_batch")
         return 0
 
     def _by_worker(self, indices: Iterable[int]) -> dict[int, list[int]]:
-        """Return, for each worker, its own indices of some environments."""
+        """Return the local indices of some environments, by worker."""
         parts: dict[int, list[int]] = {}
         for index in indices:
             if index not in self._owner:
@@ -251,26 +255,26 @@ class VectorEnv:
             parts.setdefault(worker, []).append(local)
         return parts
 
-    def _saw(self, worker: int, local: Iterable[int], observations: Iterable[ObservationDict]) -> None:
+    def _store_observations(self, worker: int, local: Iterable[int], observations: Iterable[ObservationDict]) -> None:
         for each, obs in zip(local, observations):
             index = self._shares[worker][each]
             self._last[index] = {**obs, spec.Obs.ENV_IDX: index}
 
-    def _report(self, index: int, given: Any) -> Report:
-        report = {**(given or {}), spec.Obs.ENV_IDX: index}
+    def _report(self, index: int, env_report: Any) -> Report:
+        report = {**(env_report or {}), spec.Obs.ENV_IDX: index}
         if self._workers.lost[self._owner[index][0]]:
             report["end_reason"] = self._final.get(index, {}).get("end_reason", INFRASTRUCTURE)
         return report
 
     def _results(self, workers: Iterable[int]) -> dict[int, Result]:
-        """Return what the workers that live say of their environments' episodes."""
+        """Return the outcomes of the environments of running workers."""
         return {
             index: {**result, spec.Obs.ENV_IDX: index}
             for worker, (told,) in self._workers.run({worker: [_RESULTS] for worker in workers}).items()
             for index, result in zip(self._shares[worker], told)
         }
 
-    def _spoilt(self, env: int) -> Result:
+    def _infrastructure_error(self, env: int) -> Result:
         return {
             spec.Obs.ENV_IDX: env,
             spec.Deploy.SEED: self._seeds[env],

@@ -23,7 +23,7 @@ from tests.support.outside.raw import page
 from tests.support.peer import Peer, greeted, wait_until
 from xpl import Client
 from xpl import _spec as spec
-from xpl.wire import codec, packed, telling
+from xpl.wire import codec, error_text, packed
 from xpl_cli.serving.launch import RunningServer, running_server
 from xpl_cli.serving.requests import RequestError
 
@@ -150,7 +150,7 @@ RETURNED = [
     "surrogate", "surrogate key", "rows with one", "many rows", "many numbers", "many lists", "large", "itself",
     "an error", "object", "unsized", "endless", "generator", "dates",
 ]  # fmt: skip
-LONGEST = 3 * telling.SENTENCE
+LONGEST = 3 * error_text.SENTENCE
 
 
 @pytest.fixture(scope="module")

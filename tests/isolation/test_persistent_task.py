@@ -52,7 +52,7 @@ def loaded(tmp_path: Path) -> Iterator[Any]:
         order = {"policy_dir": str(tmp_path), "config": told, "manifest": manifest, "block": BLOCK}
         opened.append(
             subprocess_task.PersistentTask(
-                "xpl.worker.changes", order, subprocess_task.TaskSettings(sys.executable, tmp_path)
+                "xpl.worker.perturbed_answers", order, subprocess_task.TaskSettings(sys.executable, tmp_path)
             )
         )
         return opened[-1]

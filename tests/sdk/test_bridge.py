@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xpl import Policy
-from xpl.bridge import Bridge, BridgeError, Simulated, Verdict
+from xpl.bridge import Bridge, BridgeError, BridgeVerdict, Simulated
 from xpl.environment import Environment, Episode
 from xpl.manifest import EnvManifest
 from xpl.rollout import run_episode
@@ -139,7 +139,7 @@ def test_two_routes_that_are_right_command_the_same() -> None:
     found = crossed(Table, client=client).verdict()
     assert (found.agree, found.steps, found.corrected, found.first) == (True, 18, 0, None)
     assert found.largest.max() < 1e-5
-    assert str(found).startswith("both routes command the same: 18 steps")
+    assert str(found).startswith("both command the same: 18 steps")
     assert (len(client.resets), client.instructions) == (2, {"push right"})
 
 
@@ -151,7 +151,7 @@ def test_a_mistake_on_either_side_is_told_at_its_first_step(episode: type[Episod
     assert not found.agree
     assert found.first is not None
     assert found.first.step == 0
-    assert "the routes differ, first at step 0: number" in str(found)
+    assert "the commands differ, first at step 0: number" in str(found)
 
 
 def test_steps_that_the_robot_s_limits_changed_are_left_out() -> None:
@@ -160,7 +160,7 @@ def test_steps_that_the_robot_s_limits_changed_are_left_out() -> None:
             return super()._pose(obs, x + 5000, y)
 
     bridge = crossed(Table, Far)
-    assert all(one.corrected for one in bridge.crossings)
+    assert all(one.corrected for one in bridge.pairs)
     with pytest.raises(BridgeError, match=r"no step can be compared: \d+ were executed, all corrected"):
         bridge.verdict()
 
@@ -168,15 +168,15 @@ def test_steps_that_the_robot_s_limits_changed_are_left_out() -> None:
 def test_what_cannot_be_compared_is_said() -> None:
     with pytest.raises(BridgeError, match="needs `simulated\\(\\)`"):
         crossed(Silent)
-    with pytest.raises(BridgeError, match="was told 2 numbers, the authors' client commands 7"):
+    with pytest.raises(BridgeError, match="received 2 numbers, the authors' client commands 7"):
         crossed(Table, client=lambda _observation, _instruction: np.zeros(7))
-    with pytest.raises(BridgeError, match="must say a command as numbers, got dict"):
+    with pytest.raises(BridgeError, match="must return a command of numbers, got dict"):
         crossed(Table, client=lambda _observation, _instruction: {"x": 1})
 
 
 def test_a_number_that_is_none_differs() -> None:
     bridge = crossed(Table)
-    bridge.crossings[4].ours[1] = np.nan
-    found: Verdict = bridge.verdict()
+    bridge.pairs[4].ours[1] = np.nan
+    found: BridgeVerdict = bridge.verdict()
     assert not found.agree
-    assert found.first is bridge.crossings[4]
+    assert found.first is bridge.pairs[4]

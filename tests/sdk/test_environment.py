@@ -157,7 +157,7 @@ def test_a_simulator_is_made_once_for_each_environment_until_the_options_change(
     env.reset([1])
     env.reset([2])
     assert _Counter.made == before + 1
-    episode = env._places[0]._episode
+    episode = env._envs[0]._episode
     env.reset([2], {"task": "wait", "privileged": True})
     assert _Counter.made == before + 2
     assert isinstance(episode, _Counter)

@@ -58,7 +58,7 @@ def test_what_is_safe_passes_untouched(robot: str, control: str) -> None:
     action = _hold(robot, control)
     verdict = supervisor.check(action)
     assert verdict.action is action
-    assert (verdict.corrections, verdict.held, verdict.ends) == ((), None, False)
+    assert (verdict.corrections, verdict.hold_reason, verdict.ends) == ((), None, False)
 
 
 @pytest.mark.sampled(2)
@@ -137,7 +137,7 @@ def test_a_value_that_is_none_holds_the_pose_and_ends_the_episode(bad: float, co
     broken = _hold("arx_x5", control)
     broken[key][2] = bad
     verdict = supervisor.check(broken)
-    assert (verdict.held, verdict.ends) == ("non_finite_action", True)
+    assert (verdict.hold_reason, verdict.ends) == ("non_finite_action", True)
     assert (verdict.corrections[0].where, verdict.corrections[0].amount) == (key, 1.0)
     for name, values in first.items():
         np.testing.assert_allclose(verdict.action[name], values, atol=1e-6)
@@ -151,7 +151,7 @@ def test_a_first_action_far_from_the_pose_is_refused(control: str, key: str, ste
         action = _hold("franka_single", control)
         action[key][0] += steps * step * PERIOD
         verdict = supervisor.check(action)
-        assert verdict.held == held
+        assert verdict.hold_reason == held
         moved = float(verdict.action[key][0] - _hold("franka_single", control)[key][0])
         assert moved == pytest.approx(0.0 if held else step * PERIOD, abs=1e-5)
 
@@ -166,8 +166,8 @@ def test_an_old_action_holds_the_pose_and_the_next_one_is_executed() -> None:
     ):
         supervisor = _supervisor(max_age_s=limit)
         verdict = supervisor.check(action, age)
-        assert (verdict.held, verdict.ends) == (held, False)
-        assert supervisor.check(action, 0.0).held is None
+        assert (verdict.hold_reason, verdict.ends) == (held, False)
+        assert supervisor.check(action, 0.0).hold_reason is None
 
 
 @pytest.mark.parametrize(
@@ -317,9 +317,9 @@ def test_without_a_client_to_listen_to_age_counts_from_the_latest_observation() 
     obs = env.get_obs()
     action = {key: obs["state"][key] for key in ("arm_joint_state", "ee_joint_state")}
     arms.now += 1.0
-    assert env.take_action(action)["held"] == "action_age"
+    assert env.take_action(action)["hold_reason"] == "action_age"
     env.get_obs()
-    assert env.take_action(action)["held"] is None
+    assert env.take_action(action)["hold_reason"] is None
 
 
 @pytest.mark.parametrize(("twist", "reason"), [(math.nan, "non_finite_action"), (1.0, "far_first_action")])

@@ -141,7 +141,7 @@ def test_an_adapters_own_inputs_are_those_that_are_served(tmp_path: Path) -> Non
     package, demonstrations = _package(tmp_path, OWN), _set(tmp_path / "set", case)
     windows = training.windows(package, config, demonstrations)
     assert windows.inputs["top"].dtype == np.uint8  # type: ignore[union-attr]
-    assert set(windows.seen) == {"top", "q", "scene"}
+    assert set(windows.history_rows) == {"top", "q", "scene"}
     for row, given in enumerate(_served(package, config, demonstrations)):
         (frames,) = given
         found = windows.batch([row])

@@ -222,8 +222,8 @@ def test_an_episode_that_is_put_part_by_part_is_read_by_parts(tmp_path: Path) ->
         writer.put("action/arm_joint_states", np.eye(3))
         writer.put("additional_info/mode", ["a", "a", "a"])
         writer.put_images("touch/left", frames)
-        writer.keep("vision/cam_head/intrinsic_matrix", np.eye(3))
-        writer.keep("instructions", ["lift", "pick"])
+        writer.put_constant("vision/cam_head/intrinsic_matrix", np.eye(3))
+        writer.put_constant("instructions", ["lift", "pick"])
         with pytest.raises(TrajectoryError, match="already"):
             writer.put("state/arm_joint_states", np.eye(3))
     with trajectory.read(tmp_path / "a.hdf5") as found:

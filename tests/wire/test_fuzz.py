@@ -195,10 +195,10 @@ class Sessions(RuleBasedStateMachine):
         if client in self.connections and secret is None:
             return
         connection = next(self.numbers)
-        others = {place for place in map(self.places.of, self.connections.values()) if place}
+        others = {place for place in map(self.places.slot_of, self.connections.values()) if place}
         waits = self.until.get(client, -1.0) > self.now
         try:
-            place, lost = self.places.take(connection, f"evaluation {client}", secret)
+            place, lost = self.places.assign(connection, f"evaluation {client}", secret)
         except RequestError:  # busy
             if client in self.connections or waits:
                 raise AssertionError("a client was locked out of its own place") from None
@@ -217,7 +217,7 @@ class Sessions(RuleBasedStateMachine):
     @rule(data=st.data(), clean=st.booleans())
     def leave(self, data: st.DataObject, clean: bool) -> None:
         client = data.draw(st.sampled_from(sorted(self.connections)))
-        assert self.places.leave(self.connections.pop(client), clean=clean)
+        assert self.places.release(self.connections.pop(client), clean=clean)
         self.until[client] = self.now if clean else self.now + GRACE_S
         if clean:
             self.asked[self.tenancies[client]] = []
@@ -230,7 +230,7 @@ class Sessions(RuleBasedStateMachine):
     @rule(data=st.data(), back=st.integers(0, REMEMBERED - 1), kind=st.sampled_from(["infer", "reset"]))
     def ask(self, data: st.DataObject, back: int, kind: str) -> None:
         client = data.draw(st.sampled_from(sorted(self.connections)))
-        place = self.places.of(self.connections[client])
+        place = self.places.slot_of(self.connections[client])
         assert place is not None
         history = self.asked[place.tenancy]
         known = back < len(history)
@@ -256,14 +256,14 @@ class Sessions(RuleBasedStateMachine):
 
     @invariant()
     def every_connection_has_a_place_of_its_own(self) -> None:
-        held = [self.places.of(connection) for connection in self.connections.values()]
+        held = [self.places.slot_of(connection) for connection in self.connections.values()]
         assert None not in held
         assert len(set(map(id, held))) == len(held)
 
     @invariant()
     def memory_is_bounded(self) -> None:
         for connection in self.connections.values():
-            place = self.places.of(connection)
+            place = self.places.slot_of(connection)
             assert place is not None
             running = sum(entry.answer is None for entry in place.replay._entries.values())
             assert running or len(place.replay) <= REMEMBERED

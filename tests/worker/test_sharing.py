@@ -15,7 +15,7 @@ from tests.support.examples import examples
 from xpl import _spec as spec
 from xpl.observation import ObservationError
 from xpl.policy import Policy, PolicyStateError
-from xpl.worker.sharing import Request, SharedModel
+from xpl.worker.sharing import SharedModel, SharedRequest
 
 SPAN = spec.LIMITS["client_envs"]
 TEMPORAL = {"chunk": 3, "history": 2, "ensembling": 0.1}
@@ -106,7 +106,7 @@ def test_interleaved_clients_get_what_each_alone_would_get(rounds: list[dict[int
     together = SharedModel(model())
     own: dict[int, Stochastic] = {}
     for operations in rounds:
-        results = together.run([Request(client, *operation) for client, operation in operations.items()])
+        results = together.run([SharedRequest(client, *operation) for client, operation in operations.items()])
         for (client, (method, argument)), result in zip(operations.items(), results, strict=True):
             expected = alone(own.setdefault(client, model()), method, argument)
             if isinstance(expected, BaseException):
@@ -118,13 +118,13 @@ def test_interleaved_clients_get_what_each_alone_would_get(rounds: list[dict[int
 def test_those_who_ask_at_once_are_answered_by_one_forward_pass() -> None:
     policy = model()
     shared = SharedModel(policy)
-    shared.run([Request(client, "update_obs", observed(client)) for client in range(3)])
-    shared.run([Request(1, "update_obs_batch", [observed(4, 7), observed(5, 2)])])
+    shared.run([SharedRequest(client, "update_obs", observed(client)) for client in range(3)])
+    shared.run([SharedRequest(1, "update_obs_batch", [observed(4, 7), observed(5, 2)])])
     chunks = shared.run(
         [
-            Request(2, "get_action"),
-            Request(0, "infer", observed(6, 1)),
-            Request(1, "get_action_batch", [2, 7]),
+            SharedRequest(2, "get_action"),
+            SharedRequest(0, "infer", observed(6, 1)),
+            SharedRequest(1, "get_action_batch", [2, 7]),
         ]
     )
     assert policy.batches == [[2 * SPAN, 1, SPAN + 2, SPAN + 7]]
@@ -135,7 +135,7 @@ def test_those_who_ask_at_once_are_answered_by_one_forward_pass() -> None:
 def test_the_number_of_an_environment_is_all_that_changes_in_an_observation() -> None:
     policy = model()
     given_one = observed(3, 1)
-    SharedModel(policy).run([Request(2, "update_obs", given_one)])
+    SharedModel(policy).run([SharedRequest(2, "update_obs", given_one)])
     assert given_one == {"n": 3, "env_idx": 1}
 
 
@@ -162,8 +162,8 @@ def test_a_batch_of_another_length_is_an_error(answer: Any, says: str) -> None:
     wayward = Wayward()
     wayward.answer = answer
     shared = SharedModel(wayward)
-    shared.run([Request(0, "update_obs_batch", [observed(1, 0), observed(1, 1)])])
-    (result,) = shared.run([Request(0, "get_action_batch")])
+    shared.run([SharedRequest(0, "update_obs_batch", [observed(1, 0), observed(1, 1)])])
+    (result,) = shared.run([SharedRequest(0, "get_action_batch")])
     assert says in str(result)
 
 
@@ -171,8 +171,8 @@ def test_any_iterable_of_chunks_is_taken() -> None:
     wayward = Wayward()
     wayward.answer = (chunk for chunk in ["a", "b"])
     shared = SharedModel(wayward)
-    shared.run([Request(0, "update_obs_batch", [observed(1, 0), observed(1, 1)])])
-    assert shared.run([Request(0, "get_action_batch")]) == [["a", "b"]]
+    shared.run([SharedRequest(0, "update_obs_batch", [observed(1, 0), observed(1, 1)])])
+    assert shared.run([SharedRequest(0, "get_action_batch")]) == [["a", "b"]]
 
 
 @pytest.mark.parametrize(
@@ -192,21 +192,21 @@ def test_any_iterable_of_chunks_is_taken() -> None:
 )
 def test_what_has_no_answer_is_an_error(method: str, argument: Any, error: type[Exception], says: str) -> None:
     shared = SharedModel(model())
-    shared.run([Request(0, "update_obs_batch", [observed(0, env) for env in range(3)])])
-    (result,) = shared.run([Request(1, method, argument)])
+    shared.run([SharedRequest(0, "update_obs_batch", [observed(0, env) for env in range(3)])])
+    (result,) = shared.run([SharedRequest(1, method, argument)])
     with pytest.raises(error, match=says):
         raise result
 
 
 def test_environments_are_told_in_the_clients_own_numbers() -> None:
     shared = SharedModel(model())
-    shared.run([Request(3, "update_obs_batch", [observed(0, 4), observed(1, 5)])])
+    shared.run([SharedRequest(3, "update_obs_batch", [observed(0, 4), observed(1, 5)])])
     for method, argument, says in [
         ("get_action_batch", [4, 4], r"repeated in \[4, 4\]"),
         ("get_action_batch", [4, 6], r"environments \[6\]"),
         ("get_action", None, r"the last batch held \[4, 5\]"),
     ]:
-        (result,) = shared.run([Request(3, method, argument)])
+        (result,) = shared.run([SharedRequest(3, method, argument)])
         with pytest.raises(PolicyStateError, match=says):
             raise result
 
@@ -228,12 +228,12 @@ def test_a_reset_that_failed_is_tried_again_for_the_same_environments() -> None:
     stubborn = Stubborn()
     stubborn.calls = []
     shared = SharedModel(stubborn)
-    shared.run([Request(2, "update_obs", observed(0, 4))])
-    (result,) = shared.run([Request(2, "reset")])
+    shared.run([SharedRequest(2, "update_obs", observed(0, 4))])
+    (result,) = shared.run([SharedRequest(2, "reset")])
     assert isinstance(result, RuntimeError)
     for argument in ([4], None):
-        (result,) = shared.run([Request(2, "get_action_batch", argument)])
+        (result,) = shared.run([SharedRequest(2, "get_action_batch", argument)])
         assert isinstance(result, PolicyStateError)
     for _ in range(2):
-        assert shared.run([Request(2, "reset")]) == [None]
+        assert shared.run([SharedRequest(2, "reset")]) == [None]
     assert stubborn.calls == [[2 * SPAN + 4], [2 * SPAN + 4], []]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xpl.worker.watch import CHANGED, SHARED, SWALLOWED, Watched
+from xpl.worker.watch import CHANGED, SHARED, SWALLOWED, WatchedModel
 
 
 class _Network:
@@ -49,8 +49,8 @@ def _obs() -> dict[str, Any]:
     return {"instruction": "lift", "state": {"pose": np.arange(1.0, 4.0)}, "tags": ["a", "b"]}
 
 
-def _watched(model: _Model) -> Watched:
-    watched = Watched(model)
+def _watched(model: _Model) -> WatchedModel:
+    watched = WatchedModel(model)
     watched.update_obs(_obs())
     watched.get_action()
     watched.get_action()
@@ -78,7 +78,7 @@ def test_a_change_to_an_earlier_observation_is_noted() -> None:
                 self.obs["tags"][1] = "c"
             super().update_obs(obs)
 
-    watched = Watched(Late())
+    watched = WatchedModel(Late())
     watched.update_obs(_obs())
     watched.update_obs(_obs())
     assert [(note["method"], note["key"]) for note in watched.watched_notes()] == [("update_obs", "tags[1]")]
@@ -111,4 +111,4 @@ def test_parts_that_reset_does_not_call_prove_nothing() -> None:
 
 def test_what_a_model_lacks_its_watched_form_lacks() -> None:
     with pytest.raises(AttributeError):
-        Watched(_Model()).get_action_batch  # noqa: B018
+        WatchedModel(_Model()).get_action_batch  # noqa: B018

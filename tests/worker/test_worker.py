@@ -23,8 +23,8 @@ from xpl.process.link import Channel
 from xpl.wire import packed
 from xpl.wire.segment import Arena, Segment
 from xpl.worker import main
-from xpl.worker.main import Request
-from xpl_cli.serving.workers.worker import _BOOTSTRAP
+from xpl.worker.main import WorkerRequest
+from xpl_cli.serving.workers.process import _BOOTSTRAP
 
 SDK = str(Path(main.__file__).parents[1])
 
@@ -84,7 +84,7 @@ class Process:
     def load(self, folder: Path, **manifest: Any) -> Any:
         return self.ask(op="load", policy_dir=str(folder), config={"b": 1, "a": None}, manifest=manifest)
 
-    def start(self, *requests: Request) -> None:
+    def start(self, *requests: WorkerRequest) -> None:
         self.send(*(one.payload for one in requests), op="run", requests=[one[:4] for one in requests])
 
     def answers(self) -> list[dict[str, Any]]:
@@ -94,7 +94,7 @@ class Process:
         assert next(entries, None) is None
         return answers
 
-    def run(self, *requests: Request) -> list[dict[str, Any]]:
+    def run(self, *requests: WorkerRequest) -> list[dict[str, Any]]:
         self.start(*requests)
         return self.answers()
 
@@ -108,7 +108,7 @@ class Process:
         return answer["error"]
 
 
-def request(method: str, *obs: Any, place: packed.Place | None = None, **fields: Any) -> Request:
+def request(method: str, *obs: Any, place: packed.Place | None = None, **fields: Any) -> WorkerRequest:
     """Return a request to call a method; `infer` takes its argument by another name."""
     payload = dict(zip(["observation" if method == "infer" else "obs"], obs, strict=False))
     return raw(method, payload, place=place, **fields)
@@ -122,8 +122,8 @@ def raw(
     client: int = 0,
     segment: int | None = None,
     optional: bool = False,
-) -> Request:
-    return Request(client, method, segment, optional, b"".join(packed.encode(payload, place)))
+) -> WorkerRequest:
+    return WorkerRequest(client, method, segment, optional, b"".join(packed.encode(payload, place)))
 
 
 @contextlib.contextmanager
@@ -292,7 +292,7 @@ def test_a_failure_is_described_without_our_own_frames(worker: Process, write_ad
         (raw("update_obs", {"obs": {"a": np.zeros(5000)}}, place=lambda _: (0, 4096)), "none was agreed on"),
     ],
 )
-def test_a_request_that_is_wrong_is_refused(worker: Process, echo: Path, asked: Request, says: str) -> None:
+def test_a_request_that_is_wrong_is_refused(worker: Process, echo: Path, asked: WorkerRequest, says: str) -> None:
     """By a mark that the front end understands: the adapter was not asked."""
     worker.load(echo)
     (answer,) = worker.run(asked)

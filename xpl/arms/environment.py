@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Callable
 
 from xpl import _spec as spec
 from xpl.environment import Environment
-from xpl.episode import Referee
+from xpl.episode import EpisodeRunner
 
 if TYPE_CHECKING:
     from xpl.arms.episode import ArmEpisode
@@ -43,7 +43,7 @@ class ArmEnvironment(Environment):
             for place, result in zip(self._episodes, super().results())
         ]
 
-    def _place(self, setup: Setup, index: int) -> Referee:
+    def _make_env(self, setup: Setup, index: int) -> EpisodeRunner:
         made = self._made(setup)
         self._episodes = [made]
-        return Referee(made, index)
+        return EpisodeRunner(made, index)

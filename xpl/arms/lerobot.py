@@ -30,7 +30,7 @@ _PER = {"degrees": float(np.deg2rad(1.0)), "radians": 1.0}
 
 
 @dataclass(frozen=True)
-class Words:
+class MotorNames:
     """What a LeRobot robot calls things, and in which units it counts.
 
     Attributes:
@@ -98,8 +98,8 @@ class LeRobotDriver(Driver):
         DriverError: an arm has other joints than the embodiment, or an unknown unit, or counts in percent.
     """
 
-    def __init__(self, robot: Any, embodiment: Embodiment, words: Words | None = None) -> None:
-        self._robot, self._embodiment, self._words = robot, embodiment, words or Words()
+    def __init__(self, robot: Any, embodiment: Embodiment, words: MotorNames | None = None) -> None:
+        self._robot, self._embodiment, self._words = robot, embodiment, words or MotorNames()
         self._pictures: dict[str, Picture] = {}
         total = sum(arm.dof for arm in embodiment.arms)
         usual = [f"{arm.prefix}{name}.pos" for arm in embodiment.arms for name in arm.joint_names or ()]

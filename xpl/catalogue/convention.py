@@ -117,7 +117,7 @@ def installed() -> tuple[Convention, ...]:
     for entry in registry.entries(registry.CONVENTIONS).values():
         one = getattr(entry.load(), "CONVENTION", None)
         if not isinstance(one, Convention):
-            raise entry.broken("it has no CONVENTION, an object of xpl.catalogue.Convention")
+            raise entry.unusable("it has no CONVENTION, an object of xpl.catalogue.Convention")
         found.append(one)
     return tuple(found)
 

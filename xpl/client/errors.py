@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from xpl import _spec as spec
-from xpl.wire import codec, telling
+from xpl.wire import codec, error_text
 
 _CODES = frozenset(value for name, value in vars(spec.ErrorCode).items() if name.isupper())
 
@@ -32,7 +32,7 @@ class ClientError(RuntimeError):
     is_infrastructure_error = False
 
     def __init__(self, text: str = "") -> None:
-        super().__init__(telling.visible(text))
+        super().__init__(error_text.visible(text))
 
 
 class PolicyServerError(ClientError):

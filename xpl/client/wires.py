@@ -118,8 +118,8 @@ def greeting(data: bytes, address: str) -> codec.Frame:
         ) from None
 
 
-def _load(entry: registry.Entry) -> Wire:
+def _load(entry: registry.RegisteredEntry) -> Wire:
     wire = entry.load()
     if not isinstance(wire, Wire):
-        raise entry.broken(f"expected an xpl.client.wires.Wire, got {type(wire).__name__}")
+        raise entry.unusable(f"expected an xpl.client.wires.Wire, got {type(wire).__name__}")
     return wire

@@ -50,7 +50,18 @@ def commands_from_deltas(reference: str, changes: Sequence[Any], state: Any, com
 
 
 def deltas_from_commands(reference: str, commands: Sequence[Any], state: Any, command: Any, subtract: Add) -> list[Any]:
-    """Return the deltas of absolute commands; the inverse of `commands_from_deltas`."""
+    """Return the deltas of absolute commands; the inverse of `commands_from_deltas`.
+
+    Args:
+        reference: one of REFERENCES except absolute.
+        commands: absolute command of each step.
+        state: state at the call.
+        command: last command before the call.
+        subtract: (base, command, step) -> delta.
+
+    Returns:
+        The delta of each step.
+    """
     base, result = command if reference == "delta_command" else state, []
     for index, target in enumerate(commands):
         result.append(subtract(base, target, index))

@@ -51,7 +51,16 @@ _AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def encode(quaternion: np.ndarray, form: str, euler: str | None = None) -> np.ndarray:
-    """Return unit quaternions (..., 4) in a form, (..., width)."""
+    """Convert unit quaternions to another form.
+
+    Args:
+        quaternion: (..., 4) unit quaternions, w first.
+        form: a key of `WIDTHS`.
+        euler: order of the axes for form "euler", such as "xyz" (fixed axes) or "XYZ" (moving axes).
+
+    Returns:
+        (..., width) float64; angles in rad.
+    """
     if form.startswith("quaternion"):
         return np.roll(np.asarray(quaternion, np.float64), 0 if form == "quaternion_wxyz" else -1, axis=-1)
     if form == "axis_angle":
@@ -65,13 +74,21 @@ def encode(quaternion: np.ndarray, form: str, euler: str | None = None) -> np.nd
 
 
 def decode(values: np.ndarray, form: str, euler: str | None = None) -> np.ndarray:
-    """Return the unit quaternions (..., 4) of rotations in a form, (..., width).
+    """Convert rotations of another form to unit quaternions.
 
     Regressed numbers are never exact: quaternions are scaled to length one, matrices and 6D forms made orthogonal
     (Gram-Schmidt, the first vector keeps its direction).
 
+    Args:
+        values: (..., width) rotations; angles in rad.
+        form: a key of `WIDTHS`.
+        euler: order of the axes for form "euler", see `encode`.
+
+    Returns:
+        (..., 4) float64 unit quaternions, w first.
+
     Raises:
-        ConversionError: if the numbers are no rotation, such as a quaternion of length zero.
+        ConversionError: the numbers are no rotation, such as a quaternion of length zero.
     """
     array = np.asarray(values, np.float64)
     if form in ("quaternion_wxyz", "quaternion_xyzw"):

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Union
 
 from xpl import _spec as spec
-from xpl.errors import OpenError
-from xpl.nested import written
+from xpl.errors import UnknownValueError
+from xpl.nested import format_path
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +59,7 @@ class UnknownValue:
     @property
     def where(self) -> str:
         """Its path as text: `images[0].channels`."""
-        return written(self.path)
+        return format_path(self.path)
 
 
 def gaps(model_io: object) -> list[UnknownValue]:
@@ -71,13 +71,13 @@ def refuse_gaps(model_io: Entry) -> None:
     """Raise if a value that conversions need is unknown.
 
     Raises:
-        OpenError: lists all of them.
+        UnknownValueError: lists all of them.
     """
     needed = [gap for gap in gaps(model_io) if gap.path[0] not in _NOT_CONVERTED]
     if needed:
         listed = "; ".join(f"{gap.where} ({gap.reason})" for gap in needed)
         what = "a value" if len(needed) == 1 else f"{len(needed)} values"
-        raise OpenError(
+        raise UnknownValueError(
             f"model_io leaves {what} open that conversions need: {listed}; find them out, write {{assumed: value, why: "
             "reason} where one has to be chosen, or audit what does not depend on them with `--shadow`"
         )

@@ -25,10 +25,10 @@ def offer(policy_dir: Path) -> None:
     names = checkout.names(policy_dir)
     if not names:
         return
-    from xpl.ecosystem import offering, robots, scripts
+    from xpl.ecosystem import module_finder, robots, scripts
 
-    root = checkout.found(policy_dir)
+    root = checkout.find_root(policy_dir)
     places = [*([] if root is None else [root]), *scripts.python_path(policy_dir)]
     sys.path[:0] = [str(place) for place in places if str(place) not in sys.path]
-    offering.Offering(policy_dir, root, names).install()
+    module_finder.EcosystemFinder(policy_dir, root, names).install()
     robots.offer(policy_dir)

@@ -19,7 +19,7 @@ def root_of(policy_dir: Path) -> Path:
     return policy_dir.parent.parent
 
 
-def found(policy_dir: Path) -> Path | None:
+def find_root(policy_dir: Path) -> Path | None:
     """Return the root of the real checkout that an adapter lies in, whatever its folder is called; None if in none."""
     root = root_of(policy_dir)
     return root if policy_dir.parent.name == _POLICIES and (root / _MARK).is_file() else None
@@ -34,7 +34,7 @@ def names(policy_dir: Path) -> frozenset[str]:
     called = {
         PACKAGE for name, text in texts.items() if PACKAGE in text and (name == spec.File.MODEL_PY or "import" in text)
     }
-    root = found(policy_dir)
+    root = find_root(policy_dir)
     if root is not None and root.name.isidentifier():
         called |= {root.name for text in texts.values() if _is_imported(root, text)}
     return frozenset(called)

@@ -72,11 +72,11 @@ def _redirect() -> None:
     if _led_already:
         return
     for module, name in ((builtins, "open"), (io, "open"), (os, "stat"), (os, "listdir"), (os, "scandir")):
-        setattr(module, name, _led(getattr(module, name)))
+        setattr(module, name, _redirected(getattr(module, name)))
         _led_already.append(name)
 
 
-def _led(real: Callable[..., Any]) -> Callable[..., Any]:
+def _redirected(real: Callable[..., Any]) -> Callable[..., Any]:
     def instead(*arguments: Any, **named: Any) -> Any:
         return real(*(_place(arguments[0]), *arguments[1:]), **named) if arguments else real(**named)
 

@@ -49,7 +49,7 @@ def python_path(policy_dir: Path) -> list[Path]:
     installed: list[Path] = []
     ahead: list[Path] = []
     for name in _SCRIPTS:
-        for folder, is_installed in _Reader(home, name).folders():
+        for folder, is_installed in _ScriptReader(home, name).folders():
             places = installed if is_installed else ahead
             if folder not in places and home in (folder, *folder.parents) and folder.is_dir():
                 places.append(folder)
@@ -66,10 +66,10 @@ def settings(policy_dir: Path, arguments: Sequence[str]) -> dict[str, str]:
     Returns:
         values as text, by key; none that is empty, or that depends on what only a running shell knows.
     """
-    return _Reader(policy_dir.resolve(), _SERVER, arguments).settings()
+    return _ScriptReader(policy_dir.resolve(), _SERVER, arguments).settings()
 
 
-class _Reader:
+class _ScriptReader:
     """Reads one script from its first to its last line, as if every line of it were run."""
 
     def __init__(self, home: Path, name: str, arguments: Sequence[str] = ()) -> None:

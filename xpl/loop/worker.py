@@ -27,7 +27,7 @@ from typing import NoReturn
 from xpl.loop.proxies import ClientProxy, EvaluatorLink, TaskEnvProxy
 from xpl.process import child, link
 from xpl.process.modules import load_module
-from xpl.wire import telling
+from xpl.wire import error_text
 
 _LONGEST = 2000
 """Characters of a message."""
@@ -54,7 +54,7 @@ class LoopWorker:
             getattr(self._module, head["run"])(TaskEnvProxy(self._evaluator), ClientProxy(self._evaluator))
         except BaseException as error:  # noqa: BLE001 - whatever the adapter's code raises, SystemExit too
             is_forwarded = error is self._evaluator.last_error
-            description = telling.describe(error)
+            description = error_text.describe(error)
             if not is_forwarded:
                 with contextlib.suppress(Exception):  # the adapter may have closed it
                     sys.stderr.write(description["traceback"])

@@ -32,7 +32,7 @@ _STATE, _VISION, _INSTRUCTION = spec.Obs.STATE, spec.Obs.VISION, spec.Obs.INSTRU
 
 
 @dataclass(frozen=True)
-class Names:
+class OpenpiNames:
     """Both directions of one mapping.
 
     Attributes:
@@ -54,7 +54,7 @@ class Names:
     images: str = LAYOUTS[0]
 
     @classmethod
-    def of(cls, config: Config) -> Names:
+    def of(cls, config: Config) -> OpenpiNames:
         """Return the mapping of a configuration: deploy.yml's values and `manifest`, the parsed policy.yml.
 
         Raises:
@@ -278,7 +278,7 @@ def _state_keys() -> list[str]:
     return [value for name, value in vars(spec.State).items() if name.isupper()]
 
 
-def _bare(target: str, names: Names) -> set[str]:
+def _bare(target: str, names: OpenpiNames) -> set[str]:
     """Return what a target is called in policy.yml, where arms share a name: `state` is each key of its vector."""
     if target == _STATE:
         return {f"{_STATE}.{key}" for key in spec.ACTION_KEYS[names.action_type]}

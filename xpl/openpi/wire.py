@@ -13,7 +13,7 @@ from xpl import _spec as spec
 from xpl.client.codec import Actions, Codec, Failure, Infer, Message, Reply, Request, Reset
 from xpl.client.wires import Wire
 from xpl.openpi import codec
-from xpl.openpi.names import ACTIONS, Names
+from xpl.openpi.names import ACTIONS, OpenpiNames
 from xpl.wire.codec import WireError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ class OpenpiCodec(Codec):
 
     def __init__(self, config: Config) -> None:
         super().__init__(config)
-        self._names = Names.of(config)
+        self._names = OpenpiNames.of(config)
 
     def encode_greeting(self, policy: Mapping[str, Any]) -> bytes:
         """Return the metadata: what openpi's clients are told first."""

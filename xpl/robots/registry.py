@@ -16,7 +16,7 @@ from xpl.robots.entry import faults, inherit
 if TYPE_CHECKING:
     from xpl.contract import Entry
 
-OURS = registry.OURS
+OURS = registry.BUILT_IN_DISTRIBUTION
 """Where a robot comes from that no file of a project or package describes."""
 
 HANDED_ON = "XPL_EMBODIMENTS"
@@ -153,12 +153,12 @@ def _bring() -> bool:
     return is_any
 
 
-def _problem(path: Path, source: registry.Entry) -> registry.EntryPointError | None:
+def _problem(path: Path, source: registry.RegisteredEntry) -> registry.EntryPointError | None:
     """Make the robot of an installed package known; return why that cannot be done, or None."""
     try:
         load(path)
     except (OSError, RuntimeError, ValueError) as error:
-        return source.broken(str(error))
+        return source.unusable(str(error))
     return None
 
 

@@ -23,7 +23,7 @@ from xpl.environment import NotInstalledError
 from xpl.process import child
 from xpl.process.modules import load_module
 from xpl.simulator import terminal
-from xpl.wire import packed, telling
+from xpl.wire import error_text, packed
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data
@@ -46,7 +46,7 @@ class EnvWorker:
             result = operations[head["op"]](packed.decode(buffers[0]))
             return {"ok": True}, [b"".join(packed.encode(result))]
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a simulator may call sys.exit
-            description = telling.describe(error)
+            description = error_text.describe(error)
             if not isinstance(error, (ValueError, NotInstalledError)):  # the message suffices
                 sys.stderr.write(description["traceback"])
             return {"error": {"type": description["type"], "message": description["message"]}}, []

@@ -1,4 +1,4 @@
-"""What a policy is trained on, made by the very conversions that it is served with.
+"""Training data of a policy, made by the same conversions as in serving.
 
     from xpl.training import statistics, windows
     from xpl.trajectory import open_folder
@@ -8,8 +8,8 @@
     found = windows(".", config, open_folder("demos/lift_cube"), horizon=16)
     batch = found.batch([0, 7, 40])           # as `predict` gets it, and what the model should have answered
 
-Each recorded observation is shown to the adapter, without its model, and goes through its `encode`: the block
-`model_io`, or its own. Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a
+Each recorded observation goes through the adapter's `encode` (the block `model_io`, or its own), without its model.
+Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a
 set. `xpl.training.lerobot` is a whole training on top of it, of policies that are LeRobot's.
 """
 

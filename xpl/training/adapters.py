@@ -1,4 +1,4 @@
-"""An adapter without its model: everything around the network, before there is one."""
+"""An adapter without its model: its conversions, before the model is trained."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from xpl.contract import Config
 
 MANIFEST_VARIABLE = "XPL_MANIFEST"
-"""Environment variable by which `xpl prepare` and `xpl train` hand policy.yml to a script, as JSON."""
+"""Environment variable by which `xpl prepare` and `xpl train` pass policy.yml to a script, as JSON."""
 
 
 class TrainingError(ValueError):
-    """Training inputs cannot be made of what is there; the text says what was expected, what came, and what to do."""
+    """Training data cannot be made; the text says what was expected, and what to do."""
 
 
 def without_model(
@@ -33,18 +33,21 @@ def without_model(
     images: bool = True,
     as_bytes: bool = False,
 ) -> Policy:
-    """Return a package's adapter whose `load` was left out: it encodes and decodes, and cannot predict.
+    """Return a package's adapter without `load`: it encodes and decodes, and cannot predict.
 
     Args:
-        folder: the package.
-        config: of the run, as `$XPL_CONFIG` has it. If it has no `manifest`, that is `$XPL_MANIFEST`, or policy.yml.
-        normalized: False leaves out every `normalize` of the block, whose numbers need not be there then.
-        images: False leaves out the block's images.
-        as_bytes: images stay uint8: what comes after geometry, colours and layout is left out.
+        folder: folder of the package.
+        config: configuration of the run (`$XPL_CONFIG`). Without `manifest`, that is `$XPL_MANIFEST`, or policy.yml.
+        normalized: False removes every `normalize` of the block, so that no statistics are needed.
+        images: False removes the block's images.
+        as_bytes: images stay uint8: range, mean and std are removed.
+
+    Returns:
+        An instance of the adapter's class.
 
     Raises:
-        TrainingError: model.py is none of `xpl.Policy`, or has no block `model_io`.
-        ConversionError: the block does not fit the robot, or its numbers cannot be had.
+        TrainingError: the class in model.py does not derive from `xpl.Policy`, or there is no block `model_io`.
+        ConversionError: the block does not fit the robot, or statistics are missing.
     """
     manifest = copy.deepcopy(dict(manifest_of(folder, config)))
     base = load_model_class(Path(folder).resolve(), Manifest.parse(manifest).model_class)
@@ -72,15 +75,15 @@ def _no_load(_self: Policy, _config: Config) -> None:
 
 
 def manifest_of(folder: str | os.PathLike[str], config: Config) -> Mapping[str, Any]:
-    """Return a package's manifest: of the configuration, of `$XPL_MANIFEST`, or from its file."""
-    told: Mapping[str, Any] = config.get("manifest") or _manifest(Path(folder), config.get(spec.Deploy.VARIANT))
-    return told
+    """Return a package's manifest: from the configuration, `$XPL_MANIFEST`, or policy.yml."""
+    manifest: Mapping[str, Any] = config.get("manifest") or _manifest(Path(folder), config.get(spec.Deploy.VARIANT))
+    return manifest
 
 
 def _manifest(folder: Path, variant: str | None) -> Mapping[str, Any]:
-    given = os.environ.get(MANIFEST_VARIABLE)
-    if given is not None:
-        manifest: Mapping[str, Any] = json_text.parse(given)
+    text = os.environ.get(MANIFEST_VARIABLE)
+    if text is not None:
+        manifest: Mapping[str, Any] = json_text.parse(text)
         return manifest
     path = folder / spec.File.POLICY_YML
     try:
@@ -89,7 +92,7 @@ def _manifest(folder: Path, variant: str | None) -> Mapping[str, Any]:
         raise TrainingError(
             f"{path} is read by PyYAML, which is not installed: `xpl train` hands it over, or `pip install pyyaml`"
         ) from None
-    found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    if not isinstance(found, Mapping):
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    if not isinstance(document, Mapping):
         raise TrainingError(f"{path} holds no map")
-    return variants.chosen(found, variant)[0]
+    return variants.apply_variant(document, variant)[0]

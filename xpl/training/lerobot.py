@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 STILL = 1e-4
 """What moves by less is taken for constant, as in Diffusion Policy: rounding must not become a signal."""
 
-TOLD_EVERY, WARM_UP, AVERAGE = 100, 200, 0.999
+LOG_EVERY, WARM_UP, AVERAGE = 100, 200, 0.999
 """Steps from one line of the curve to the next, steps until the full rate, and the decay of the averaged weights."""
 
 SCENE = "observation.environment_state"
@@ -69,7 +69,7 @@ def prepare(package: Path, kind: str) -> None:
     settings.input_features = {name: PolicyFeature(_feature(name), np.shape(value)) for name, value in inputs.items()}
     settings.output_features = {ACTION: PolicyFeature(_feature(ACTION), numbers[ACTION]["mean"].shape)}
     told = {key: _tensors(_still(value) if "min" in value else value) for key, value in numbers.items()}
-    target = place(package, config)
+    target = checkpoint_folder(package, config)
     target.mkdir(parents=True, exist_ok=True)
     (target / _STATE_FILE).unlink(missing_ok=True)  # of a training on other numbers
     settings._save_pretrained(target)  # noqa: SLF001 - what LeRobot's own training calls
@@ -89,7 +89,7 @@ def train(package: Path) -> None:
     from lerobot.policies.factory import get_policy_class  # which also makes LeRobot know its own kinds of policies
 
     config = _config()
-    target = place(package, config)
+    target = checkpoint_folder(package, config)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     settings = PreTrainedConfig.from_pretrained(target)
     settings.device = device.type
@@ -101,11 +101,14 @@ def train(package: Path) -> None:
         horizon=len(steps),
         first=steps[0],
     )
-    run = _Run(
-        get_policy_class(settings.type), settings, Data(found, device, config["noise"]), config[spec.Deploy.SEED]
+    run = TrainingRun(
+        get_policy_class(settings.type),
+        settings,
+        TrainingData(found, device, config["noise"]),
+        config[spec.Deploy.SEED],
     )
-    kept = target / _STATE_FILE
-    run.resume(kept)
+    state_path = target / _STATE_FILE
+    run.resume(state_path)
     limit, minutes = config["steps"], config.get("minutes") or math.inf
     begun = saved = time.monotonic()
     before = run.spent
@@ -113,17 +116,17 @@ def train(package: Path) -> None:
         while run.step < limit and run.spent < minutes * 60:
             run.step += 1
             share = max(run.step / limit, run.spent / (minutes * 60))
-            run.once(config["batch"], share)
+            run.train_step(config["batch"], share)
             run.spent = before + time.monotonic() - begun
-            if run.step % TOLD_EVERY == 0:
-                told = {"step": run.step, "loss": run.told(), "seconds": round(run.spent, 1)}
-                print(json.dumps(told), file=log, flush=True)
-                print(told, flush=True)  # noqa: T201
+            if run.step % LOG_EVERY == 0:
+                record = {"step": run.step, "loss": run.mean_loss(), "seconds": round(run.spent, 1)}
+                print(json.dumps(record), file=log, flush=True)
+                print(record, flush=True)  # noqa: T201
             if time.monotonic() - saved > config["save_every"]:
                 saved = time.monotonic()
-                run.save(kept)
+                run.save(state_path)
     run.finish(target / "model.safetensors")
-    kept.unlink(missing_ok=True)
+    state_path.unlink(missing_ok=True)
     print(f"{run.step} steps in {run.spent:.0f} s on {device.type}: {target / 'model.safetensors'}")  # noqa: T201
 
 
@@ -134,12 +137,12 @@ def demonstrations(config: Config) -> Folder:
     return open_files([one.path for folder in folders for one in folder][: config.get("episodes")])
 
 
-def place(package: Path, config: Config) -> Path:
+def checkpoint_folder(package: Path, config: Config) -> Path:
     """Return the checkpoint's folder, where the adapter looks for it."""
     return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config[spec.Deploy.CKPT_NAME])
 
 
-class Data:
+class TrainingData:
     """All windows on the device, images as bytes; vectors are shown with a little noise, as the robot strays, too."""
 
     def __init__(self, found: Windows, device: Any, noise: float) -> None:
@@ -151,7 +154,7 @@ class Data:
             name: [torch.as_tensor(part, device=device) for part in (look.scale, look.low, look.mean, look.std)]
             for name, look in found.pixels.items()
         }
-        self.seen = {name: torch.as_tensor(value, device=device) for name, value in found.seen.items()}
+        self.history_rows = {name: torch.as_tensor(value, device=device) for name, value in found.history_rows.items()}
         self.targets, self.padded = (torch.as_tensor(value, device=device) for value in (found.targets, found.padded))
 
     def batch(self, rows: Any) -> dict[str, Any]:
@@ -160,7 +163,7 @@ class Data:
 
         result = {ACTION: self.targets[rows], "action_is_pad": self.padded[rows]}
         for name, values in self.inputs.items():
-            picked = values[self.seen[name][rows]] if name in self.seen else values[rows]
+            picked = values[self.history_rows[name][rows]] if name in self.history_rows else values[rows]
             if name in self.pixels:
                 scale, low, mean, std = self.pixels[name]
                 picked = (picked.float() * scale + low - mean) / std
@@ -170,10 +173,10 @@ class Data:
         return result
 
 
-class _Run:
+class TrainingRun:
     """Network, optimizer and averaged weights of a training, and how far it is."""
 
-    def __init__(self, network: Any, settings: Any, data: Data, seed: int) -> None:
+    def __init__(self, network: Any, settings: Any, data: TrainingData, seed: int) -> None:
         import torch
 
         torch.manual_seed(seed)
@@ -205,9 +208,9 @@ class _Run:
 
         state = {"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict(), "average": self.average}
         state |= {"step": self.step, "spent": self.spent, "total": self.total}
-        _whole(path, lambda part: torch.save(state, part))
+        _write_atomically(path, lambda part: torch.save(state, part))
 
-    def once(self, batch: int, share: float) -> None:
+    def train_step(self, batch: int, share: float) -> None:
         """Do a step; `share` says how much of the training is over, 0 to 1."""
         import torch
 
@@ -227,9 +230,9 @@ class _Run:
         torch._foreach_lerp_(self.average, now, share_of_new)
         self.total += loss.detach()
 
-    def told(self) -> float:
+    def mean_loss(self) -> float:
         """Return the mean loss since this was asked last."""
-        loss: float = round(self.total.item() / TOLD_EVERY, 6)
+        loss: float = round(self.total.item() / LOG_EVERY, 6)
         self.total.zero_()
         return loss
 
@@ -240,10 +243,10 @@ class _Run:
         for value, mean in zip(self.policy.parameters(), self.average):
             value.data.copy_(mean)
         weights = {name: value.contiguous().cpu() for name, value in self.policy.state_dict().items()}
-        _whole(path, lambda part: save_file(weights, part))
+        _write_atomically(path, lambda part: save_file(weights, part))
 
 
-def _calibrate(policy: Any, data: Data) -> None:
+def _calibrate(policy: Any, data: TrainingData) -> None:
     """Give LeRobot's frozen batch norms the statistics of these images: they are meant for a backbone of ImageNet."""
     import torch
 
@@ -290,11 +293,11 @@ def _curve(path: Path, step: int) -> TextIO:
     """Open the curve, without what a killed run told after it was saved for the last time."""
     told = path.read_text().splitlines(keepends=True) if path.exists() else []
     kept = [line for line in told if line.endswith("\n") and json_text.parse(line)["step"] <= step]
-    _whole(path, lambda part: part.write_text("".join(kept)))
+    _write_atomically(path, lambda part: part.write_text("".join(kept)))
     return path.open("a")
 
 
-def _whole(path: Path, write: Callable[[Path], Any]) -> None:
+def _write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
     """Write a file that is there whole or not at all."""
     part = path.with_name(f".{path.name}.part")
     write(part)

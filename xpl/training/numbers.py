@@ -1,4 +1,4 @@
-"""The numbers that `model_io.normalize` needs, of a set's own values before normalisation."""
+"""Statistics of a data set for `model_io.normalize`."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl.training.adapters import without_model
-from xpl.training.reading import Shown, is_told_secrets, read_all
+from xpl.training.reading import RecordedSet, read_all, uses_privileged
 
 if TYPE_CHECKING:
     from xpl.contract import Config
     from xpl.trajectory import Folder
 
 ACTION = "action"
-"""Under which the answers' numbers stand."""
+"""Key of the statistics of actions."""
 
 
 def statistics(
@@ -26,26 +26,26 @@ def statistics(
     horizon: int | None = None,
     first: int = 0,
 ) -> dict[str, dict[str, np.ndarray]]:
-    """Return the statistics of a set's vectors, in the model's own numbers but for their normalisation.
+    """Return the statistics of a data set's vectors, in the model's units before normalisation.
 
-    Each input counts every control step once. Of answers that are absolute so does each action; of those that are
-    counted from something each step of each window, since the same action means other numbers there.
+    Each input counts every control step once. So does each absolute action; of delta actions each step of each window
+    counts, because the values depend on the window.
 
     Args:
-        folder: the package.
-        config: of the run.
-        demonstrations: the set.
-        horizon: as of `windows`.
-        first: as of `windows`.
+        folder: folder of the package.
+        config: configuration of the run.
+        demonstrations: the data set.
+        horizon: action horizon, see `windows`.
+        first: see `windows`.
 
     Returns:
         By input, and under `action`: min, max, mean, std, q01, q99, each (width,) float32, and count (1,).
 
     Raises:
-        TrainingError: the set does not fit the adapter.
+        TrainingError: the data set does not fit the adapter.
     """
     policy = without_model(folder, config, normalized=False, images=False)
-    found = read_all(Shown(policy, demonstrations, is_told_secrets(folder, config)), horizon, first)
+    found = read_all(RecordedSet(policy, demonstrations, uses_privileged(folder, config)), horizon, first)
     vectors = {
         name: values.reshape(len(values), -1)
         for name, values in found.inputs.items()

@@ -1,4 +1,4 @@
-"""Shows recorded episodes to an adapter without its model, and keeps what it makes of them."""
+"""Training windows: recorded episodes encoded by an adapter without its model."""
 
 from __future__ import annotations
 
@@ -30,40 +30,43 @@ def windows(
     horizon: int | None = None,
     first: int = 0,
 ) -> Windows:
-    """Return what an adapter's model is trained on: every control step of a set.
+    """Return the training windows of a data set, one per control step.
 
-    Images are decoded once. They stay bytes where geometry, colours and layout make bytes of them (`Windows.pixels`
-    then makes the numbers), and are float32 else.
+    Images are decoded once. They stay uint8 if only range, mean and std follow (`Windows.pixels` then applies those),
+    and are float32 otherwise.
 
     Args:
-        folder: the package.
-        config: of the run, as `$XPL_CONFIG` has it; its checkpoint, or the package, holds the numbers of
+        folder: folder of the package.
+        config: configuration of the run (`$XPL_CONFIG`); its checkpoint, or the package, has the statistics of
             `model_io.normalize`.
-        demonstrations: the set, in the standard's form; `xpl data convert` brings others there.
-        horizon: steps H of an answer; by default those that the block and the manifest hand on.
-        first: which control step the answer begins with, counted from the newest observation: -1 for a model that also
-            says what was done at the observation before.
+        demonstrations: the data set, in the standard's format; `xpl data convert` converts others.
+        horizon: action horizon H, steps; by default that of block and manifest.
+        first: control step of the first action relative to the newest observation; -1 for a model that also predicts
+            the previous action.
+
+    Returns:
+        N windows, one per control step.
 
     Raises:
-        TrainingError: the set does not fit the adapter: another robot, other commands, no steps.
-        ConversionError: the block does not fit the robot, or its numbers cannot be had.
+        TrainingError: the data set does not fit the adapter: another robot, other actions, no steps.
+        ConversionError: the block does not fit the robot, or statistics are missing.
     """
     policy = without_model(folder, config)
-    terse = without_model(folder, config, as_bytes=True)
-    secrets = is_told_secrets(folder, config)
-    pixels = _pixels([Shown(one, demonstrations, secrets) for one in (policy, terse)])
-    shown = Shown(terse if pixels is not None else policy, demonstrations, secrets)
-    return read_all(shown, horizon, first, pixels)
+    with_bytes = without_model(folder, config, as_bytes=True)
+    secrets = uses_privileged(folder, config)
+    pixels = _pixels([RecordedSet(one, demonstrations, secrets) for one in (policy, with_bytes)])
+    recorded = RecordedSet(with_bytes if pixels is not None else policy, demonstrations, secrets)
+    return read_all(recorded, horizon, first, pixels)
 
 
 @dataclass(frozen=True)
-class Shown:
-    """A set, and the adapter without its model that it is shown to.
+class RecordedSet:
+    """A data set, and the adapter without its model that encodes it.
 
     Attributes:
         policy: the adapter.
-        demonstrations: the set.
-        secrets: whether it is shown `privileged` where the set has it.
+        demonstrations: the data set.
+        secrets: whether observations include `privileged` if recorded.
     """
 
     policy: Policy
@@ -78,15 +81,27 @@ class Shown:
         return {**obs, spec.Obs.ENV_IDX: 0}
 
 
-def is_told_secrets(folder: str | os.PathLike[str], config: Config) -> bool:
-    """Tell whether an adapter's manifest asks for what only a simulator knows; else it is not served with it."""
+def uses_privileged(folder: str | os.PathLike[str], config: Config) -> bool:
+    """Return whether an adapter's manifest declares privileged observations as input."""
     inputs = Manifest.parse(manifest_of(folder, config)).inputs
     return inputs is not None and spec.Obs.PRIVILEGED in (*inputs.required, *inputs.optional)
 
 
-def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str, Pixels] | None = None) -> Windows:
-    """Return the windows of all episodes; arguments as of `windows`."""
-    policy, demonstrations = asked.policy, asked.demonstrations
+def read_all(
+    recorded: RecordedSet, horizon: int | None, first: int, pixels: Mapping[str, Pixels] | None = None
+) -> Windows:
+    """Return the windows of all episodes.
+
+    Args:
+        recorded: data set and adapter.
+        horizon: see `windows`.
+        first: see `windows`.
+        pixels: by input, the scaling of images that stay uint8.
+
+    Returns:
+        N windows, one per control step.
+    """
+    policy, demonstrations = recorded.policy, recorded.demonstrations
     interface = _interface(policy)
     height = interface.action.first + (interface.action.steps or 1) if horizon is None else horizon
     own = type(policy).encode is not Policy.encode
@@ -95,15 +110,15 @@ def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str,
     for episode in demonstrations:
         with episode:
             _check_robot(episode, policy)
-            shown, actions = _played(asked, episode)
-        count = len(shown)
+            encoded_steps, actions = _encode_episode(recorded, episode)
+        count = len(encoded_steps)
         if not count:
             raise TrainingError(f"{episode.path} has no control steps")
-        states = [obs[spec.Obs.STATE] for obs, _ in shown]
-        wanted = np.arange(count)[:, None] + np.arange(height) + first
-        targets.append(_answers(interface, actions, states, np.clip(wanted, 0, count - 1)))
-        padded.append((wanted < 0) | (wanted >= count))
-        rows += [encoded for _, encoded in shown]
+        states = [obs[spec.Obs.STATE] for obs, _ in encoded_steps]
+        indices = np.arange(count)[:, None] + np.arange(height) + first
+        targets.append(_answers(interface, actions, states, np.clip(indices, 0, count - 1)))
+        padded.append((indices < 0) | (indices >= count))
+        rows += [encoded for _, encoded in encoded_steps]
         counts.append(count)
     if not rows:
         raise TrainingError(f"{demonstrations.path} holds no episode")
@@ -116,26 +131,28 @@ def read_all(asked: Shown, horizon: int | None, first: int, pixels: Mapping[str,
         pixels=dict(pixels or {}),
         targets=np.concatenate(targets).astype(np.float32),
         padded=np.concatenate(padded),
-        seen={name: _seen(one, starts) for name, one in histories.items() if one is not None and one.length > 1},
-        real={name: _real(alike or one, starts) for name, one in interface.masks.items()},
+        history_rows={
+            name: _history_rows(one, starts) for name, one in histories.items() if one is not None and one.length > 1
+        },
+        real={name: _history_mask(alike or one, starts) for name, one in interface.masks.items()},
         starts=starts,
     )
 
 
-def _seen(history: History, starts: np.ndarray) -> np.ndarray:
-    """Return (N, T) int64: for each control step the rows of its observations; -1 where zeros stand."""
-    wanted, first = _wanted(history, starts)
+def _history_rows(history: History, starts: np.ndarray) -> np.ndarray:
+    """Return (N, T) int64: row indices of each control step's history; -1 for zero padding."""
+    wanted, first = _rows_of_history(history, starts)
     return np.where(wanted < first, -1 if history.pads_with_zeros else first, wanted)
 
 
-def _real(history: History, starts: np.ndarray) -> np.ndarray:
-    """Return (N, T) float32: 1 for each observation that is of the episode, else 0."""
-    wanted, first = _wanted(history, starts)
+def _history_mask(history: History, starts: np.ndarray) -> np.ndarray:
+    """Return (N, T) float32: 1 for observations of the episode, 0 for padding."""
+    wanted, first = _rows_of_history(history, starts)
     return (wanted >= first).astype(np.float32)
 
 
-def _wanted(history: History, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the rows (N, T) that a history asks for, and the first row (N, 1) of the episode that each is of."""
+def _rows_of_history(history: History, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row indices (N, T) of a history without padding, and the first row (N, 1) of each episode."""
     first = np.repeat(starts[:-1], np.diff(starts))[:, None]
     return np.arange(starts[-1])[:, None] - np.array(history.ages), first
 
@@ -160,17 +177,17 @@ def _check_robot(episode: Trajectory, policy: Policy) -> None:
         )
 
 
-def _played(
-    asked: Shown, episode: Trajectory
+def _encode_episode(
+    recorded: RecordedSet, episode: Trajectory
 ) -> tuple[list[tuple[Mapping[str, Any], Mapping[str, Any]]], list[Mapping[str, Any]]]:
-    """Return each observation with what `encode` made of it, and each action."""
-    policy = asked.policy
+    """Return (state, result of `encode`) of each observation, and each action."""
+    policy = recorded.policy
     keys = policy.embodiment.dims(policy.action_type)
-    shown: list[tuple[Mapping[str, Any], Mapping[str, Any]]] = []
+    encoded_steps: list[tuple[Mapping[str, Any], Mapping[str, Any]]] = []
     actions: list[Action] = []
     policy.reset()
     for step in range(len(episode)):
-        obs = asked.observation(episode, step)
+        obs = recorded.observation(episode, step)
         action = episode.action(step)
         lacking = [key for key in keys if key not in action]
         if lacking:
@@ -185,9 +202,9 @@ def _played(
                 f"encode of {type(policy).__name__} returned {type(encoded).__name__}, expected a map of named inputs"
             )
         state = {spec.Obs.STATE: obs[spec.Obs.STATE]}  # images need not be kept
-        shown.append((state, encoded))
+        encoded_steps.append((state, encoded))
         actions.append(action)
-    return shown, actions
+    return encoded_steps, actions
 
 
 def _cameras(policy: Policy) -> list[str] | None:
@@ -197,18 +214,18 @@ def _cameras(policy: Policy) -> list[str] | None:
     return [camera for item in policy.interface.images for camera in item.cameras]
 
 
-def _answers(interface: Interface, actions: Sequence[Action], states: Sequence[Any], wanted: np.ndarray) -> np.ndarray:
-    """Return the answers (T, H, D) that mean the wanted (T, H) of these actions, each asked for at its own state."""
+def _answers(interface: Interface, actions: Sequence[Action], states: Sequence[Any], indices: np.ndarray) -> np.ndarray:
+    """Return the model outputs (T, H, D) of the actions at `indices` (T, H), each relative to the state of its step."""
     output = interface.action
     if not output.is_relative:
-        each: np.ndarray = output.encode(actions, states[0], {})[output.first :][wanted]
+        each: np.ndarray = output.encode(actions, states[0], {})[output.first :][indices]
         return each
     made = []
-    for step, places in enumerate(wanted):
+    for step, chosen in enumerate(indices):
         memory: dict[str, np.ndarray] = {}
         if step:
             output.encode([actions[step - 1]], states[step - 1], memory)  # the command before is counted from
-        answer = output.encode([actions[place] for place in places], states[step], memory)
+        answer = output.encode([actions[place] for place in chosen], states[step], memory)
         made.append(answer[output.first :])
     return np.stack(made)
 
@@ -225,20 +242,20 @@ def _column(name: str, values: Sequence[Any]) -> Values:
     return np.stack(values)
 
 
-def _pixels(asked: Sequence[Shown]) -> dict[str, Pixels] | None:
-    """Return how bytes become numbers, by input, or None where an adapter needs the numbers themselves.
+def _pixels(sets: Sequence[RecordedSet]) -> dict[str, Pixels] | None:
+    """Return the scaling of uint8 images by input, or None if the adapter needs float images.
 
-    Held against each other at the first observation: what an adapter's own `encode` does to images nobody knows.
+    Both are compared at the first observation, because an adapter's own `encode` may change images.
 
     Args:
-        asked: the adapter, and the same one with images as bytes.
+        sets: the data set with the adapter, and with the same adapter whose images stay uint8.
     """
-    interface = _interface(asked[0].policy)
+    interface = _interface(sets[0].policy)
     found = {item.name: Pixels(*item.scaling) for item in interface.images if not item.is_bytes}
     if not found:
         return {}
     made = []
-    for one in asked:
+    for one in sets:
         with one.demonstrations[0] as episode:
             one.policy.reset()
             one.policy.update_obs(one.observation(episode, 0))

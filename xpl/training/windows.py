@@ -52,7 +52,7 @@ class Windows:
     pixels: Mapping[str, Pixels]
     targets: np.ndarray
     padded: np.ndarray
-    seen: Mapping[str, np.ndarray]
+    history_rows: Mapping[str, np.ndarray]
     real: Mapping[str, np.ndarray]
     starts: np.ndarray
 
@@ -79,9 +79,9 @@ class Windows:
         return {**result, **{name: values[chosen] for name, values in self.real.items()}}
 
     def _picked(self, name: str, values: np.ndarray, rows: np.ndarray) -> np.ndarray:
-        if name not in self.seen:
+        if name not in self.history_rows:
             return self._numbers(name, values[rows])
-        seen = self.seen[name][rows]
+        seen = self.history_rows[name][rows]
         found = self._numbers(name, values[seen])
         found[seen < 0] = 0
         return found

@@ -1,4 +1,4 @@
-"""What a file grows by: datasets that take one value for each step, in bounded memory however long an episode is."""
+"""Columns of a file: datasets with one value per step, written in bounded memory."""
 
 from __future__ import annotations
 
@@ -10,47 +10,47 @@ from xpl.trajectory.errors import TrajectoryError
 from xpl.trajectory.storage import LIST, PER_STEP, hdf5
 
 if TYPE_CHECKING:
-    from xpl.trajectory.names import Place
-    from xpl.trajectory.nodes import Group
+    from xpl.trajectory.hdf5_types import HDF5Group
+    from xpl.trajectory.names import DatasetPath
 
 ROWS = 64
-"""Most values that wait in memory, and those of a chunk where they are small."""
+"""Most values that are buffered, and rows of a chunk of small values."""
 WAITING_BYTES = 1 << 22
 
 
-class Column(Protocol):
-    """Takes a value for each step."""
+class EpisodeColumn(Protocol):
+    """A dataset with one value per step."""
 
-    def fitting(self, value: Any) -> Any:
-        """Return the value of the next step as `add` takes it.
+    def convert(self, value: Any) -> Any:
+        """Return the value of the next step in the form that `add` takes.
 
         Raises:
-            TrajectoryError: it does not go with those before it.
+            TrajectoryError: it does not fit the earlier values.
         """
 
     def add(self, value: Any) -> None:
-        """Take what `fitting` made of the value of the next step."""
+        """Add the converted value of the next step."""
 
     def close(self) -> None:
-        """Write what is still in memory."""
+        """Write the buffered values."""
 
 
-class Rows:
-    """Numbers, of one shape and type: a dataset (T, *shape).
+class NumericColumn:
+    """Arrays of one shape and dtype: a dataset (T, *shape).
 
     Args:
         file: an open HDF5 file.
-        path: where in it.
-        first: the first value, which all others have to be like.
-        chunk: rows of a chunk.
-        marked: whether the file says that it has a row for each step, where its name does not.
+        path: path of the dataset.
+        first: the first value; the others must have its shape and dtype.
+        chunk: rows per chunk.
+        marked: set the attribute that marks one row per step, for names that do not imply it.
         compression: options of h5py for the dataset.
     """
 
     def __init__(
         self,
-        file: Group,
-        path: Place,
+        file: HDF5Group,
+        path: DatasetPath,
         first: np.ndarray,
         chunk: int = ROWS,
         *,
@@ -61,7 +61,7 @@ class Rows:
         self._shape, self._dtype = first.shape, first.dtype
         self._most = max(1, min(ROWS, WAITING_BYTES // max(1, first.nbytes)))
         self._waiting: list[np.ndarray] = []
-        # HDF5 wants chunks of at least one value, and only what can grow may have larger ones than there are.
+        # HDF5 needs chunks of at least one value; only a resizable dataset may have chunks larger than its size.
         sizes = {
             "shape": (0, *first.shape),
             "maxshape": (None, *(size or None for size in first.shape)),
@@ -71,11 +71,11 @@ class Rows:
         if marked:
             self._dataset.attrs[PER_STEP] = True
 
-    def fitting(self, value: Any) -> np.ndarray:
-        """Return a copy: simulators use their arrays again.
+    def convert(self, value: Any) -> np.ndarray:
+        """Return a copy, because simulators reuse their arrays.
 
         Raises:
-            TrajectoryError: it has another shape or type than the first one.
+            TrajectoryError: its shape or dtype differs from the first one's.
         """
         array = numbers(value, self._name)
         if array.shape != self._shape or not np.can_cast(array.dtype, self._dtype, "same_kind"):
@@ -87,13 +87,13 @@ class Rows:
         return np.array(array, self._dtype)
 
     def add(self, value: np.ndarray) -> None:
-        """Take the value of the next step."""
+        """Add the value of the next step."""
         self._waiting.append(value)
         if len(self._waiting) >= self._most:
             self.close()
 
     def close(self) -> None:
-        """Write what is still in memory."""
+        """Write the buffered values."""
         if self._waiting:
             start = self._dataset.shape[0]
             self._dataset.resize(start + len(self._waiting), axis=0)
@@ -101,45 +101,45 @@ class Rows:
             self._waiting = []
 
 
-class Listed(str):
-    """A list of texts, written as JSON."""
+class JsonTextList(str):
+    """A list of strings, stored as JSON."""
 
     __slots__ = ()
 
 
-class Steady:
-    """What usually stays as it is, numbers or a text: stored once, and for each step from where it changes.
+class ConstantColumn:
+    """Numbers or text that usually stay constant: stored once, or per step if they change.
 
     Args:
         file: an open HDF5 file.
-        path: where in it.
-        always: stored for each step whether it changes or not.
+        path: path of the dataset.
+        always: store per step in any case.
     """
 
-    def __init__(self, file: Group, path: Place, *, always: bool = False) -> None:
+    def __init__(self, file: HDF5Group, path: DatasetPath, *, always: bool = False) -> None:
         self._file, self._path, self._always = file, path, always
         self._first: Any = None
         self._count = 0
         self._series: list[Any] | None = None
 
-    def fitting(self, value: Any) -> Any:
-        """Return a text, or a copy of numbers.
+    def convert(self, value: Any) -> Any:
+        """Return a string, or a copy of an array.
 
         Raises:
-            TrajectoryError: it is of another kind or shape than the first one.
+            TrajectoryError: its type or shape differs from the first one's.
         """
-        found = value if isinstance(value, str) else np.array(numbers(value, "/".join(self._path)))
+        converted = value if isinstance(value, str) else np.array(numbers(value, "/".join(self._path)))
         if not self._count:
-            return found
-        if isinstance(found, str) != isinstance(self._first, str) or np.shape(found) != np.shape(self._first):
+            return converted
+        if isinstance(converted, str) != isinstance(self._first, str) or np.shape(converted) != np.shape(self._first):
             raise TrajectoryError(
-                f"{'/'.join(self._path)}, step {self._count}: expected {_told(self._first)}, as the first step has, "
-                f"got {_told(found)}"
+                f"{'/'.join(self._path)}, step {self._count}: expected {_describe(self._first)}, as in the first step, "
+                f"got {_describe(converted)}"
             )
-        return found
+        return converted
 
     def add(self, value: Any) -> None:
-        """Take the value of the next step."""
+        """Add the value of the next step."""
         if not self._count:
             self._first = value
         if self._series is None and (self._always or not np.array_equal(value, self._first)):
@@ -149,24 +149,24 @@ class Steady:
         self._count += 1
 
     def close(self) -> None:
-        """Write it."""
+        """Write the dataset."""
         name = "/".join(self._path)
         value = self._first if self._series is None else self._series
         if isinstance(self._first, str):
             made = self._file.create_dataset(name, data=value, dtype=hdf5().string_dtype())
         else:
             made = self._file.create_dataset(name, data=value if self._series is None else np.stack(value))
-        if self._series is not None or np.ndim(self._first):  # an array may have as many rows as there are steps
+        if self._series is not None or np.ndim(self._first):  # its length may equal the number of steps
             made.attrs[PER_STEP] = self._series is not None
-        if isinstance(self._first, Listed):
+        if isinstance(self._first, JsonTextList):
             made.attrs[LIST] = True
 
 
 def numbers(value: object, name: str) -> np.ndarray:
-    """Return an array of numbers or truth values.
+    """Return an array of numbers or booleans.
 
     Raises:
-        TrajectoryError: it is none.
+        TrajectoryError: it is something else.
     """
     try:
         array = np.asarray(value)
@@ -177,5 +177,5 @@ def numbers(value: object, name: str) -> np.ndarray:
     return array
 
 
-def _told(value: Any) -> str:
+def _describe(value: Any) -> str:
     return "text" if isinstance(value, str) else f"{np.shape(value)} {value.dtype}"

@@ -1,7 +1,7 @@
-"""What goes wrong with trajectories."""
+"""Errors of trajectories."""
 
 from __future__ import annotations
 
 
 class TrajectoryError(ValueError):
-    """A trajectory cannot be read or written; the text names file and dataset, what was expected and what came."""
+    """A trajectory cannot be read or written; the text names file and dataset, and what was expected."""

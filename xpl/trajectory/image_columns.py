@@ -1,4 +1,4 @@
-"""Columns of images: as pixels, as depth, or encoded one by one."""
+"""Columns of images: pixels, depth, or encoded images."""
 
 from __future__ import annotations
 
@@ -8,44 +8,50 @@ import numpy as np
 
 from xpl import images as codec
 from xpl.observation import is_encoded
-from xpl.trajectory.columns import ROWS, WAITING_BYTES, Rows
+from xpl.trajectory.columns import ROWS, WAITING_BYTES, NumericColumn
 from xpl.trajectory.errors import TrajectoryError
 from xpl.trajectory.storage import hdf5
 
 if TYPE_CHECKING:
     from xpl.trajectory import names
-    from xpl.trajectory.nodes import Group
+    from xpl.trajectory.hdf5_types import HDF5Group
 
 
-class Pixels(Rows):
+class PixelColumn(NumericColumn):
     """Colour images as pixels (T, H, W, 3)."""
 
-    def fitting(self, value: Any) -> np.ndarray:
-        """Return an image, (H, W, 3) uint8, of one that may be encoded."""
-        return super().fitting(decoded(value))
+    def convert(self, value: Any) -> np.ndarray:
+        """Return an image (H, W, 3) uint8, decoded if necessary."""
+        return super().convert(decode_if_encoded(value))
 
 
-class Depth(Rows):
+class DepthColumn(NumericColumn):
     """Depth (T, H, W)."""
 
-    def fitting(self, value: Any) -> np.ndarray:
+    def convert(self, value: Any) -> np.ndarray:
         """Return depth (H, W) of (H, W) or (H, W, 1)."""
-        return super().fitting(flat(value))
+        return super().convert(squeeze_depth(value))
 
 
-class Encoded:
-    """Colour images, encoded: a dataset (T,) of bytes of variable length, or (T, N) padded with NUL.
+class EncodedColumn:
+    """Encoded colour images: a dataset (T,) of bytes of variable length, or (T, N) padded with NUL.
 
     Args:
         file: an open HDF5 file.
-        path: where in it.
-        encode: encodes an image.
-        size: height and width of all.
-        padded: as (T, N).
+        path: path of the dataset.
+        encode: returns the bytes of an image (H, W, 3) uint8 RGB.
+        size: (height, width) of all images.
+        padded: store (T, N) instead of (T,).
     """
 
     def __init__(
-        self, file: Group, path: names.Place, encode: Callable[[Any], bytes], size: tuple[int, int], *, padded: bool
+        self,
+        file: HDF5Group,
+        path: names.DatasetPath,
+        encode: Callable[[Any], bytes],
+        size: tuple[int, int],
+        *,
+        padded: bool,
     ) -> None:
         self._name, self._encode, self._size, self._padded = "/".join(path), encode, size, padded
         self._waiting: list[np.ndarray] = []
@@ -58,11 +64,11 @@ class Encoded:
             kind = hdf5().vlen_dtype(np.uint8)
             self._dataset = file.create_dataset(self._name, (0,), maxshape=(None,), chunks=(ROWS,), dtype=kind)
 
-    def fitting(self, value: Any) -> bytes:
-        """Return an image as it is stored.
+    def convert(self, value: Any) -> bytes:
+        """Return the stored bytes of an image.
 
         Raises:
-            TrajectoryError: it has another size than the first one.
+            TrajectoryError: its size differs from the first one's.
         """
         if is_encoded(value):
             return bytes(value)
@@ -72,13 +78,13 @@ class Encoded:
         return self._encode(image)
 
     def add(self, value: bytes) -> None:
-        """Take the image of the next step."""
+        """Add the image of the next step."""
         self._waiting.append(np.frombuffer(value, np.uint8))
         if sum(map(len, self._waiting)) > WAITING_BYTES or len(self._waiting) >= ROWS:
             self.close()
 
     def close(self) -> None:
-        """Write what is still in memory."""
+        """Write the buffered images."""
         if not self._waiting:
             return
         start, count = self._dataset.shape[0], len(self._waiting)
@@ -86,17 +92,17 @@ class Encoded:
             self._dataset.resize((start + count, max(self._dataset.shape[1], *map(len, self._waiting))))
         else:
             self._dataset.resize(start + count, axis=0)
-        for number, blob in enumerate(self._waiting, start):  # at once h5py takes equal lengths for a table
+        for number, blob in enumerate(self._waiting, start):  # one by one: h5py would store equal lengths as a table
             self._dataset[(number, slice(len(blob))) if self._padded else number] = blob
         self._waiting = []
 
 
-def decoded(value: Any) -> np.ndarray:
-    """Return the pixels of an image that may be encoded."""
+def decode_if_encoded(value: Any) -> np.ndarray:
+    """Return the pixels of an image, decoded if necessary."""
     return codec.decode(value) if is_encoded(value) else np.asarray(value)
 
 
-def flat(value: Any) -> np.ndarray:
+def squeeze_depth(value: Any) -> np.ndarray:
     """Return depth (H, W) of (H, W) or (H, W, 1)."""
     depth = np.asarray(value)
     return depth[:, :, 0] if depth.ndim == 3 and depth.shape[2] == 1 else depth

@@ -1,7 +1,7 @@
-"""The index of a folder: a line for each file, so that nobody has to open thousands to know how long they are.
+"""Index of a folder, `index.jsonl`: number of steps of each file, so that files need not be opened.
 
-`index.jsonl` beside the files; a line is added when a file is put in place. It is only a shortcut: a file without a
-line, or of another size than its line says, is opened instead.
+A line is appended when a file is complete. The index is a cache: a file without a line, or of another size than in its
+line, is opened instead.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ NAME = "index.jsonl"
 _MOST_BYTES = 1 << 28
 
 
-class Line(NamedTuple):
-    """What the index says of a file: its size and its control steps."""
+class IndexEntry(NamedTuple):
+    """Index entry of a file: size in bytes, number of control steps."""
 
     bytes: object
     steps: int
 
 
-def note(path: Path, facts: Mapping[str, object]) -> None:
-    """Add the line of a file that is in place.
+def append(path: Path, facts: Mapping[str, object]) -> None:
+    """Append the line of a complete file.
 
     Raises:
         OSError: the index cannot be written.
@@ -37,29 +37,29 @@ def note(path: Path, facts: Mapping[str, object]) -> None:
     data = json.dumps(line, ensure_ascii=False, separators=(",", ":")).encode() + b"\n"
     handle = os.open(path.parent / NAME, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
     try:
-        os.write(handle, data)  # in one piece: others may add lines too
+        os.write(handle, data)  # one write: other processes may append, too
     finally:
         os.close(handle)
 
 
-def lines(folder: Path) -> dict[str, Line]:
-    """Return the newest line of each file by its name; a line that is none counts for nothing."""
-    found: dict[str, Line] = {}
+def read(folder: Path) -> dict[str, IndexEntry]:
+    """Return the newest entry of each file by name; malformed lines are ignored."""
+    entries: dict[str, IndexEntry] = {}
     path = folder / NAME
     try:
         if not path.is_file() or path.stat().st_size > _MOST_BYTES:
-            return found
+            return entries
         content = path.read_bytes()
     except OSError:
-        return found
+        return entries
     for raw in content.split(b"\n"):
         try:
-            told = json_text.parse(raw)
+            entry = json_text.parse(raw)
         except json_text.JsonError:
             continue
-        if isinstance(told, dict) and isinstance(told.get("file"), str) and _is_count(told.get("steps")):
-            found[told["file"]] = Line(told.get("bytes"), told["steps"])
-    return found
+        if isinstance(entry, dict) and isinstance(entry.get("file"), str) and _is_count(entry.get("steps")):
+            entries[entry["file"]] = IndexEntry(entry.get("bytes"), entry["steps"])
+    return entries
 
 
 def _is_count(value: object) -> bool:

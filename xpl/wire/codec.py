@@ -162,7 +162,7 @@ def decode(data: Data) -> Frame:
     """
     if len(data) > spec.LIMITS["frame_bytes"]:
         raise WireError(f"a frame of {len(data)} bytes is over the limit of {spec.LIMITS['frame_bytes']}")
-    reader = _Reader()
+    reader = _HeaderReader()
     try:
         fields = _msgpack().unpackb(
             data,
@@ -310,7 +310,7 @@ class Counting:
             raise WireError(f"the message holds more than {spec.LIMITS['elements']} list and map entries: send arrays")
 
 
-class _Reader(Counting):
+class _HeaderReader(Counting):
     """Makes values of the maps and lists of one frame."""
 
     def on_map(self, entries: dict[Any, Any]) -> Any:

@@ -28,8 +28,8 @@ from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, l
 __all__ = [
     "PREFIX_BYTES",
     "Find",
-    "Limits",
     "PackingError",
+    "PackingLimits",
     "Place",
     "decode",
     "encode",
@@ -52,7 +52,7 @@ _ARRAY_ENTRIES = 8
 
 
 @dataclass(frozen=True)
-class Limits:
+class PackingLimits:
     """What a value may hold.
 
     Attributes:
@@ -64,7 +64,7 @@ class Limits:
     size: int
 
 
-_NO_LIMITS = Limits(1 << 62, BODY_LIMIT)
+_NO_LIMITS = PackingLimits(1 << 62, BODY_LIMIT)
 
 Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
 """Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
@@ -72,7 +72,7 @@ Find = Callable[[int, int, "np.dtype[np.generic]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
 
-def encode(value: object, place: Place | None = None, limits: Limits = _NO_LIMITS) -> list[Data]:
+def encode(value: object, place: Place | None = None, limits: PackingLimits = _NO_LIMITS) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
     Args:
@@ -84,7 +84,7 @@ def encode(value: object, place: Place | None = None, limits: Limits = _NO_LIMIT
         PackingError: for any other type, for text that is no Unicode, for arrays of objects or dates, and for more than
             fits.
     """
-    writer = _Writer(place, limits)
+    writer = _PackedWriter(place, limits)
     try:
         text = _to_json(writer.tree(value)).encode()
     except RecursionError:
@@ -113,7 +113,7 @@ def decode(message: Data, find: Find | None = None) -> Any:
         tree = json.loads(text)  # noqa: TID251 - bounded by the message, refused below
         if _SURROGATE.search(text):
             _to_json(tree).encode()  # raises if one stands alone
-        return _Reader(view[PREFIX_BYTES + header :], find).value(tree)
+        return _PackedReader(view[PREFIX_BYTES + header :], find).value(tree)
     except PackingError:
         raise
     except (ValueError, TypeError, LookupError, RecursionError, OverflowError, AttributeError) as error:
@@ -133,10 +133,10 @@ def map_key(key: object) -> str:
     raise PackingError(f"a map key must be text, got {key!r:.80}")
 
 
-class _Writer:
+class _PackedWriter:
     """Turns a value into a tree for the header and the pieces of the body."""
 
-    def __init__(self, place: Place | None, limits: Limits) -> None:
+    def __init__(self, place: Place | None, limits: PackingLimits) -> None:
         self._place = place
         self._limits = limits
         self._left = limits.entries
@@ -225,7 +225,7 @@ class _Writer:
         return offset
 
 
-class _Reader:
+class _PackedReader:
     """Turns a tree and a body back into the value."""
 
     def __init__(self, body: memoryview, find: Find | None) -> None:

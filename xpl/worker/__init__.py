@@ -1,1 +1,1 @@
-"""What runs in the policy's interpreter: it loads an adapter, or what stands in for it, and answers the front end."""
+"""Code in the policy's interpreter: it loads an adapter, or its shadow, and answers the server's front end."""

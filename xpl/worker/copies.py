@@ -1,4 +1,4 @@
-"""Copies of what a model is handed: an adapter may write to its observations, and nobody else shall notice."""
+"""Copies of a model's arguments: an adapter may write to its observations without an effect elsewhere."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 
-def own(value: object) -> Any:
-    """Return a value with containers and arrays of its own; the arrays may be written to."""
+def copy_value(value: object) -> Any:
+    """Return a deep copy of containers and arrays; the arrays are writable."""
     if isinstance(value, Mapping):
-        return {key: own(item) for key, item in value.items()}
+        return {key: copy_value(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [own(item) for item in value]
+        return [copy_value(item) for item in value]
     return np.array(value) if isinstance(value, np.ndarray) else value

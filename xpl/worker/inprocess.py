@@ -1,14 +1,14 @@
-"""Plays a script on an adapter inside this very process, as somebody would who imports it: no server, no client.
+"""Calls an adapter in this process, as a program that imports it would: no server, no client.
 
-What an audit compares the served adapter with. Standard library and numpy only. Script and answers lie in files
-(`xpl.worker.errand`):
+The audit compares the served adapter with it. Standard library and numpy only. Script and answers lie in files
+(`xpl.worker.subprocess_task`):
 
     {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further "shadow", as in the
     message by which a worker loads an adapter (`xpl.worker.main`), and "watch"
     one map for the load and one for each call: a "result" or an "error"; with "unreal": true where only the real model
     could have answered
 
-Observations are handed over as a simulator makes them: arrays of their own that may be written to.
+Observations are passed as by a simulator: separate, writable arrays.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from typing import Any, Callable, NoReturn
 
 from xpl.manifest import Manifest
 from xpl.policy import Policy
-from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
-from xpl.worker.lacking import ShadowError
+from xpl.worker.copies import copy_value
 from xpl.worker.loading import load_model_class
+from xpl.worker.missing_requirements import ShadowError
+from xpl.worker.subprocess_task import FAILURES, TaskRequest, pack_error, pack_result, run_once
 
 
-def load(order: Order) -> Any:
+def load(order: TaskRequest) -> Any:
     """Return an adapter's model.
 
     Args:
-        order: `policy_dir`, `config` and `manifest`; `shadow`: without the reference (`xpl.worker.shadow`);
-            `watch`: what it does to its observations is noted (`xpl.worker.watch`).
+        order: `policy_dir`, `config` and `manifest`; `shadow`: without the model (`xpl.worker.shadow`);
+            `watch`: record what it does to its observations (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
     class_name = Manifest.parse(manifest).model_class
@@ -43,9 +43,9 @@ def load(order: Order) -> Any:
     model = model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
     if not order.get("watch"):
         return model
-    from xpl.worker.watch import Watched
+    from xpl.worker.watch import WatchedModel
 
-    return Watched(model)
+    return WatchedModel(model)
 
 
 def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:
@@ -56,40 +56,40 @@ def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:
         script: pairs of a method's name and its arguments.
     """
     for method, arguments in script:
-        yield _called(model, method, arguments)
+        yield _call_method(model, method, arguments)
 
 
-def _called(model: Any, method: str, arguments: Sequence[Any]) -> bytes:
+def _call_method(model: Any, method: str, arguments: Sequence[Any]) -> bytes:
     try:
-        answer = getattr(model, method)(*map(own, arguments))
-        return result(answer)  # what cannot travel is an error of the served adapter, too
+        answer = getattr(model, method)(*map(copy_value, arguments))
+        return pack_result(answer)  # a value that cannot be encoded is an error of the served adapter, too
     except FAILURES as error:
-        return failed(error, **({"unreal": True} if isinstance(error, ShadowError) else {}))
+        return pack_error(error, **({"unreal": True} if isinstance(error, ShadowError) else {}))
 
 
-def main(asked: str, answers: str) -> NoReturn:
-    """Play the script in one file, write the answers to another, and end."""
-    carry_out(asked, answers, _all)
+def main(request_path: str, answers: str) -> NoReturn:
+    """Run the script of a request, and end."""
+    run_once(request_path, answers, _all)
 
 
-def _all(order: Order) -> Iterator[bytes]:
+def _all(order: TaskRequest) -> Iterator[bytes]:
     def script(model: Any) -> Iterator[bytes]:
-        yield result(None)
+        yield pack_result(None)
         yield from play(model, order["script"])
 
     return on_model(order, script)
 
 
-def on_model(order: Order, errand: Callable[[Any], Iterator[bytes]]) -> Iterator[bytes]:
-    """Load an adapter's model and yield what an errand says of it; only the error, if it cannot be loaded.
+def on_model(order: TaskRequest, errand: Callable[[Any], Iterator[bytes]]) -> Iterator[bytes]:
+    """Load an adapter's model and yield the answers of a task; only the error, if it cannot be loaded.
 
     Args:
-        order: as `load` reads it.
-        errand: yields answers, packed, that for the load first.
+        order: see `load`.
+        errand: yields the packed answers for a model, the first for loading.
     """
     try:
         model = load(order)
     except FAILURES as error:
-        yield failed(error)
+        yield pack_error(error)
         return
     yield from errand(model)

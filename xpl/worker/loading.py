@@ -1,4 +1,4 @@
-"""Find the class of an adapter in its folder, and check that it can be served as its manifest says."""
+"""Import of an adapter's class, and check that several clients can share it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from xpl.process.modules import execute, register_package
 
 
 class LoadError(RuntimeError):
-    """model.py does not offer what the contract asks for."""
+    """model.py lacks what the contract requires."""
 
 
 def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> type:
@@ -23,7 +23,7 @@ def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> ty
     what the adapter's scripts put on the path (`xpl.ecosystem`).
 
     Raises:
-        LoadError: if there is no model.py or no such class in it.
+        LoadError: there is no model.py, or no such class in it.
     """
     path = policy_dir / spec.File.MODEL_PY
     if not path.is_file():
@@ -31,7 +31,7 @@ def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> ty
     ecosystem.offer(policy_dir)
     package = f"_xpl_policy_{policy_dir.name}"
     for name in [name for name in sys.modules if name == package or name.startswith(f"{package}.")]:
-        del sys.modules[name]  # a model that is built anew gets modules that know nothing of the one before
+        del sys.modules[name]  # a reloaded model gets new modules
     register_package(package, policy_dir)
     module = execute(f"{package}.model", path)
     model = getattr(module, class_name, None)
@@ -45,10 +45,10 @@ def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:
 
     Args:
         model_class: class of the adapter.
-        ambiguous: methods that it must not have, because they do not tell whose environments they are about.
+        ambiguous: methods that it must not have, because their arguments do not identify the client.
 
     Raises:
-        LoadError: if it cannot tell its clients apart.
+        LoadError: it cannot distinguish its clients.
     """
     needed = (spec.Method.UPDATE_OBS_BATCH, spec.Method.GET_ACTION_BATCH, spec.Method.RESET_ENVS)
     missing = [name for name in needed if not callable(getattr(model_class, name, None))]

@@ -12,7 +12,7 @@ Standard library and numpy only. Messages have a head, in JSON, and buffers (`xp
 The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
 the map of its answer. Whatever raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused":
 true` where the request itself was wrong, `"unserialisable": true` where the result cannot travel, and `"lacks":
-{"kind", "name"}` where not the adapter is to blame but the machine (`xpl.worker.lacking`).
+{"kind", "name"}` where not the adapter is to blame but the machine (`xpl.worker.missing_requirements`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 from xpl import _spec as spec
 from xpl.manifest import Manifest
 from xpl.process import child
-from xpl.wire import packed, telling
+from xpl.wire import error_text, packed
 from xpl.worker.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
@@ -38,11 +38,11 @@ if TYPE_CHECKING:
 # Not exceptions only: libraries that parse the command line end the process over an argument that is not theirs, and
 # what ends a generator or a program may slip out of a model. No signal raises here: Ctrl-C belongs to the parent.
 _FAILURES = (BaseException,)
-_ANSWER = packed.Limits(spec.LIMITS["elements"], spec.LIMITS["frame_bytes"])
-_WANTED: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
+_ANSWER = packed.PackingLimits(spec.LIMITS["elements"], spec.LIMITS["frame_bytes"])
+_ARGUMENT_TYPES: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
 
 
-class Request(NamedTuple):
+class WorkerRequest(NamedTuple):
     """What one client asks for.
 
     Attributes:
@@ -64,7 +64,7 @@ class RefusedError(ValueError):
     """A request asks for what the adapter does not offer, or lacks what it needs."""
 
 
-class Worker:
+class AdapterWorker:
     """Executes the operations of one adapter, one after the other."""
 
     def __init__(self) -> None:
@@ -78,7 +78,7 @@ class Worker:
     def handle(self, head: Head, buffers: Sequence[Data] = ()) -> tuple[Head, list[Data]]:
         """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
         if head["op"] == "run":
-            requests = [Request(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
+            requests = [WorkerRequest(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
             return self._run(requests)
         operations: dict[str, Callable[[Head], Head | None]] = {
             "load": self._load,
@@ -88,7 +88,7 @@ class Worker:
         try:
             return {"ok": operations[head["op"]](head)}, []
         except _FAILURES as error:
-            return {"error": {**describe(error), **self._lacks(error)}}, []
+            return {"error": {**describe(error), **self._missing_requirement(error)}}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
@@ -144,7 +144,7 @@ class Worker:
 
     # -- requests ------------------------------------------------------------------------------------------------------
 
-    def _run(self, requests: Sequence[Request]) -> tuple[Head, list[Data]]:
+    def _run(self, requests: Sequence[WorkerRequest]) -> tuple[Head, list[Data]]:
         results = self._results(requests) if self._shared is None else self._shared_results(self._shared, requests)
         answers: list[Head | None] = []
         buffers: list[Data] = []
@@ -152,30 +152,32 @@ class Worker:
         for request, result in zip(requests, results):
             if not isinstance(result, BaseException):
                 try:
-                    buffers.append(_packed_answer(request, result, left))
+                    buffers.append(_pack_answer(request, result, left))
                     left -= len(buffers[-1])
                 except _FAILURES as error:  # also what a library's own array type raises while it is converted
-                    answers.append({**describe(error), **self._lacks(error), "unserialisable": True})
+                    answers.append({**describe(error), **self._missing_requirement(error), "unserialisable": True})
                 else:
                     answers.append(None)
             else:
                 refused = isinstance(result, (RefusedError, packed.PackingError))
-                answers.append({**describe(result), **self._lacks(result), **({"refused": True} if refused else {})})
+                answers.append(
+                    {**describe(result), **self._missing_requirement(result), **({"refused": True} if refused else {})}
+                )
                 # Who keeps the exception would keep all that its frames hold, and the memory that a client shares.
                 result.__traceback__ = None
         return {"answers": answers}, buffers
 
-    def _lacks(self, error: BaseException) -> Head:
+    def _missing_requirement(self, error: BaseException) -> Head:
         """Return what an error tells of the machine; nothing if the adapter is to blame."""
-        from xpl.worker import lacking
+        from xpl.worker import missing_requirements
 
         try:
-            found = lacking.lacking(error, self._policy_dir, self._config)
+            requirement = missing_requirements.missing_requirement(error, self._policy_dir, self._config)
         except _FAILURES:  # an exception whose text cannot be had, for example
-            found = None
-        return {} if found is None else {"lacks": found}
+            requirement = None
+        return {} if requirement is None else {"lacks": requirement}
 
-    def _results(self, requests: Sequence[Request]) -> Iterator[Any]:
+    def _results(self, requests: Sequence[WorkerRequest]) -> Iterator[Any]:
         """Yield what each request returns, or the exception that it raises."""
         for request in requests:
             try:
@@ -184,12 +186,12 @@ class Worker:
                 result = error
             yield result
 
-    def _shared_results(self, shared: SharedModel, requests: Sequence[Request]) -> list[Any]:
+    def _shared_results(self, shared: SharedModel, requests: Sequence[WorkerRequest]) -> list[Any]:
         from xpl.worker import sharing
 
         results: list[Any] = []
-        asked: dict[int, sharing.Request] = {}
-        for place, request in enumerate(requests):
+        shared_requests: dict[int, sharing.SharedRequest] = {}
+        for index, request in enumerate(requests):
             try:
                 argument = self._argument(request)
             except _FAILURES as error:
@@ -197,12 +199,12 @@ class Worker:
                 continue
             results.append(None)  # the answer to an optional method: a model that is shared has no hooks
             if request.method == spec.Method.INFER or request.method in self._methods:
-                asked[place] = sharing.Request(request.client, request.method, argument)
-        for place, result in zip(asked, shared.run(list(asked.values()))):
-            results[place] = result
+                shared_requests[index] = sharing.SharedRequest(request.client, request.method, argument)
+        for index, result in zip(shared_requests, shared.run(list(shared_requests.values()))):
+            results[index] = result
         return results
 
-    def _perform(self, request: Request) -> Any:
+    def _perform(self, request: WorkerRequest) -> Any:
         method, argument = request.method, self._argument(request)
         if method == spec.Method.INFER or (method == spec.Method.GET_ACTION and isinstance(argument, Mapping)):
             return self._infer(argument)
@@ -219,7 +221,7 @@ class Worker:
         self._model.update_obs(observation)
         return self._model.get_action()
 
-    def _argument(self, request: Request) -> Any:
+    def _argument(self, request: WorkerRequest) -> Any:
         """Return the argument of a request's method.
 
         Raises:
@@ -242,14 +244,14 @@ class Worker:
         if method in spec.HOOKS:
             return payload
         argument = payload.get(spec.Payload.OBS)
-        wanted = _WANTED.get(method)
-        if wanted is not None and not isinstance(argument, wanted):
-            kind = "map" if wanted is dict else "list"
+        expected_type = _ARGUMENT_TYPES.get(method)
+        if expected_type is not None and not isinstance(argument, expected_type):
+            kind = "map" if expected_type is dict else "list"
             raise RefusedError(f"{method} needs a payload with obs, a {kind}; got {type(argument).__name__}")
         return argument
 
 
-def _packed_answer(request: Request, result: object, most: int) -> bytes:
+def _pack_answer(request: WorkerRequest, result: object, most: int) -> bytes:
     """Return the entries of the answer to a request, packed.
 
     Raises:
@@ -274,9 +276,9 @@ def describe(error: BaseException) -> dict[str, str]:
     frames = error.__traceback__
     while frames is not None and frames.tb_frame.f_code.co_filename == __file__:
         frames = frames.tb_next
-    return telling.describe(error, frames)
+    return error_text.describe(error, frames)
 
 
 def main(descriptor: int) -> NoReturn:
     """Serve messages that arrive on a descriptor until it is closed."""
-    child.serve(descriptor, Worker().handle)
+    child.serve(descriptor, AdapterWorker().handle)

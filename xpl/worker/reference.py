@@ -1,4 +1,4 @@
-"""Asks a package's reference.py about scripted episodes: an errand in the policy's interpreter (`xpl.worker.errand`).
+"""Runs a package's reference.py on scripted episodes: a subprocess task in the policy's interpreter.
 
 reference.py defines `answers(config)`, which returns `answer(episode)`: the action steps of the standard that the
 authors' own code gives for an episode so far. It imports neither `xpl` nor model.py: an adapter that answers for the
@@ -35,9 +35,9 @@ from xpl.action import ActionError, check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.episodes import own_index
 from xpl.process.modules import execute, register_package
-from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
+from xpl.worker.copies import copy_value
 from xpl.worker.loading import LoadError
+from xpl.worker.subprocess_task import FAILURES, TaskRequest, pack_error, pack_result, run_once
 
 if TYPE_CHECKING:
     from xpl.contract import Config
@@ -49,22 +49,22 @@ _MOST_LIBRARIES = 64
 _MOST_FILES = 500
 _INSTALLED = {"site-packages", "dist-packages"}
 
-Answer = Callable[["Episode"], Any]
+Answer = Callable[["ReferenceEpisode"], Any]
 
 
 class ReferenceImportError(ImportError):
-    """reference.py imports what it is to be compared with."""
+    """reference.py imports the SDK or the adapter, which it is compared with."""
 
 
-class Episode:
-    """What reference.py is told: one environment's episode so far.
+class ReferenceEpisode:
+    """Argument of reference.py: the episode of one environment so far.
 
     Attributes:
-        observations: those of the standard that were shown, oldest first; the last one is now.
-        asked: places in `observations` that were asked about, oldest first; the last one is now.
-        rng: generator of this environment, seeded and used up as `xpl.Policy.rng(env)` is.
-        env: number of the environment.
-        number: number of the episode since the start, from 0.
+        observations: observations of the standard so far, oldest first; the last one is the current one.
+        asked: indices in `observations` of the inferences, oldest first; the last one is the current one.
+        rng: generator of this environment, seeded like `xpl.Policy.rng(env)`.
+        env: index of the environment.
+        number: number of the episode, from 0.
     """
 
     def __init__(self, env: int, number: int, seed: int) -> None:
@@ -84,7 +84,7 @@ def load(folder: Path, file: str, function: str, config: Config) -> tuple[Module
     """
     path = folder / file
     ecosystem.offer(folder)
-    _guard(folder)
+    _block_imports(folder)
     package = f"_xpl_reference_{folder.name}"
     register_package(package, folder)
     if not path.is_file():
@@ -101,38 +101,46 @@ def load(folder: Path, file: str, function: str, config: Config) -> tuple[Module
     return module, answer
 
 
-def play(answer: Answer, order: Order) -> Iterator[bytes]:
+def play(answer: Answer, order: TaskRequest) -> Iterator[bytes]:
     """Show and ask as the order says, and yield the answers of each question, packed."""
     robot = get_embodiment(order["embodiment"])
     for _ in range(order["rounds"]):
-        episodes: dict[int, Episode] = {}
+        episodes: dict[int, ReferenceEpisode] = {}
         number, has_shown = 0, False
         for call in order["calls"]:
             if spec.Method.RESET in call:
                 number, has_shown, episodes = number + has_shown, False, {}
             for env, observation in call.get("show", ()):
                 has_shown = True
-                episodes.setdefault(env, Episode(env, number, order[spec.Deploy.SEED])).observations.append(observation)
+                episodes.setdefault(env, ReferenceEpisode(env, number, order[spec.Deploy.SEED])).observations.append(
+                    observation
+                )
             if "ask" in call:
-                yield _asked(answer, [episodes[env] for env in call["ask"]], robot, order)
+                yield _answer_episodes(answer, [episodes[env] for env in call["ask"]], robot, order)
 
 
-def _asked(answer: Answer, episodes: Sequence[Episode], robot: Embodiment, order: Order) -> bytes:
+def _answer_episodes(
+    answer: Answer, episodes: Sequence[ReferenceEpisode], robot: Embodiment, order: TaskRequest
+) -> bytes:
     try:
-        told = []
+        answers = []
         for episode in episodes:
             episode.asked.append(len(episode.observations) - 1)
-            told.append([_steps(answer, episode, robot, order[spec.Deploy.ACTION_TYPE]) for _ in range(order["takes"])])
-        return result(told)
+            answers.append(
+                [_steps(answer, episode, robot, order[spec.Deploy.ACTION_TYPE]) for _ in range(order["takes"])]
+            )
+        return pack_result(answers)
     except FAILURES as error:
-        return failed(error, trace=_own_lines(error, Path(order["policy_dir"])))
+        return pack_error(error, trace=_own_lines(error, Path(order["policy_dir"])))
 
 
-def _steps(answer: Answer, episode: Episode, robot: Embodiment, action_type: str) -> list[dict[str, np.ndarray]]:
+def _steps(
+    answer: Answer, episode: ReferenceEpisode, robot: Embodiment, action_type: str
+) -> list[dict[str, np.ndarray]]:
     """Return the action steps of one answer, checked; reference code may write to what it is shown."""
-    given = Episode.__new__(Episode)
-    given.__dict__.update(vars(episode), observations=own(episode.observations), asked=list(episode.asked))
-    steps = answer(given)
+    copied = ReferenceEpisode.__new__(ReferenceEpisode)
+    copied.__dict__.update(vars(episode), observations=copy_value(episode.observations), asked=list(episode.asked))
+    steps = answer(copied)
     if isinstance(steps, Sequence) and len(steps) > MOST_STEPS:
         raise ActionError(f"an answer may have {MOST_STEPS} action steps, got {len(steps)}")
     check_chunk(steps, robot, action_type)
@@ -149,9 +157,9 @@ def _own_lines(error: BaseException, folder: Path) -> str:
 # -- what reference.py must not import ---------------------------------------------------------------------------------
 
 
-def _guard(folder: Path) -> None:
+def _block_imports(folder: Path) -> None:
     """Make imports of the adapter, from wherever, and of the SDK, from files of the package, errors."""
-    sys.meta_path.insert(0, _NoAdapter(folder))
+    sys.meta_path.insert(0, _AdapterImportBlocker(folder))
     real = builtins.__import__
 
     def guarded(name: str, *arguments: Any, **more: Any) -> Any:
@@ -169,7 +177,7 @@ def _guard(folder: Path) -> None:
     builtins.__import__ = guarded
 
 
-class _NoAdapter(MetaPathFinder):
+class _AdapterImportBlocker(MetaPathFinder):
     """Finds model.py of the package under any name, and refuses it."""
 
     def __init__(self, folder: Path) -> None:
@@ -199,8 +207,8 @@ def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]
         module: reference.py.
         conventions: name of its map of citations: an imported package that they name is the authors' code.
     """
-    told = getattr(module, conventions, None)
-    sources = told.values() if isinstance(told, Mapping) else ()
+    citations = getattr(module, conventions, None)
+    sources = citations.values() if isinstance(citations, Mapping) else ()
     cited = {part for text in sources if isinstance(text, str) for part in re.split(r"[/:@]", text)}
     own = getattr(module, "__file__", None)
     files: dict[str, str] = {}
@@ -213,8 +221,8 @@ def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]
         if path.is_relative_to(folder) and not _is_environment(path.relative_to(folder)):
             files[path.relative_to(folder).as_posix()] = code_digest(path, conventions if file == own else None)
         elif top in cited and top in path.parts and len(authors) < _MOST_FILES:
-            place = len(path.parts) - 1 - path.parts[::-1].index(top)
-            authors["/".join(path.parts[place:])] = code_digest(path)
+            start = len(path.parts) - 1 - path.parts[::-1].index(top)
+            authors["/".join(path.parts[start:])] = code_digest(path)
     libraries = {}
     for name, imported in sorted(sys.modules.items()):
         installed = set(Path(str(getattr(imported, "__file__", None))).parts) & _INSTALLED
@@ -253,18 +261,18 @@ def _is_environment(path: Path) -> bool:
     return any(part in _INSTALLED or part.startswith(".") for part in path.parts[:-1])
 
 
-def main(asked: str, answers: str) -> NoReturn:
+def main(request_path: str, answers: str) -> NoReturn:
     """Ask as one file says, write the answers to another, and end."""
-    carry_out(asked, answers, _all)
+    run_once(request_path, answers, _all)
 
 
-def _all(order: Order) -> Iterator[bytes]:
+def _all(order: TaskRequest) -> Iterator[bytes]:
     folder = Path(order["policy_dir"])
     try:
         module, answer = load(folder, order["file"], order["function"], order["config"])
     except FAILURES as error:
-        yield failed(error, trace=_own_lines(error, folder))
+        yield pack_error(error, trace=_own_lines(error, folder))
         return
-    yield result(None)
+    yield pack_result(None)
     yield from play(answer, order)
-    yield result(provenance(folder, module, order["conventions"]))
+    yield pack_result(provenance(folder, module, order["conventions"]))

@@ -1,8 +1,8 @@
 """Shadow mode: an adapter without its model, so that everything around the model runs anywhere.
 
-`load` is skipped, and `predict` is a fixed function of what `encode` returned (`xpl.worker.answers`). Packing, batches,
-episode state and the structure of actions are the adapter's own; the values of its actions are not. The function
-answers one environment at a time, so that the others of a batch cannot matter.
+`load` is skipped, and `predict` is a fixed function of the result of `encode` (`xpl.worker.shadow_answers`). Packing,
+batches, episode state and the structure of actions are the adapter's own; the values of its actions are not. The
+function answers each environment by itself, so the others of a batch have no effect.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from xpl.action import action_dim
 from xpl.decoding import decode_rows
 from xpl.manifest import Manifest
 from xpl.policy import Policy
-from xpl.worker.answers import Answers
-from xpl.worker.lacking import ShadowError
 from xpl.worker.loading import load_model_class
+from xpl.worker.missing_requirements import ShadowError
+from xpl.worker.shadow_answers import ShadowAnswers
 
 if TYPE_CHECKING:
     from xpl.contract import Config, Entry, Observation
@@ -36,57 +36,57 @@ _SDK = re.compile(r"^\s*(?:from|import)\s+xpl\b", re.MULTILINE)
 _TILT = 0.3  # of a quaternion's imaginary parts; the real one stays near 1
 
 
-class UndividedError(ShadowError):
-    """The adapter has no part that is the model's alone."""
+class NoShadowError(ShadowError):
+    """The adapter does not separate its model from the code around it."""
 
     kind = "whole"
 
 
 class NotLoadedError(ShadowError, AttributeError):
-    """An attribute is not there, because `load`, which would set it, was skipped."""
+    """An attribute is missing because `load`, which would set it, was skipped."""
 
 
 def load_shadow_class(policy_dir: Path, class_name: str) -> type[Policy]:
     """Return the shadow of the class in an adapter's model.py, which is imported.
 
     Raises:
-        UndividedError: if the adapter does not keep its model apart from what is around it; before anything is imported
+        NoShadowError: if the adapter does not keep its model apart from what is around it; before anything is imported
             where it was written without the SDK, so that this is told in place of the first library that is not here.
         LoadError: if there is no model.py or no class `Model` in it.
     """
     texts = [path.read_text(encoding="utf-8", errors="replace") for path in policy_dir.glob("*.py")]
     if texts and not any(map(_SDK.search, texts)):
-        raise UndividedError("an adapter that does not derive from xpl.Policy has no shadow")
+        raise NoShadowError("an adapter that does not derive from xpl.Policy has no shadow")
     return shadow_of(load_model_class(policy_dir, class_name))
 
 
 def shadow_of(model_class: type) -> type[Policy]:
-    """Return a class that is the adapter's, but for `load` and `predict`.
+    """Return a subclass of the adapter's class with other `load` and `predict`.
 
     Raises:
-        UndividedError: if the adapter does not keep its model apart from what is around it.
+        NoShadowError: if the adapter does not keep its model apart from what is around it.
     """
     if not issubclass(model_class, Policy):
-        raise UndividedError(
+        raise NoShadowError(
             f"shadow mode needs an adapter that derives from xpl.Policy; {model_class.__name__} does not, and its "
             "model cannot be told from what is around it"
         )
     if model_class.predict is Policy.predict:
-        raise UndividedError(f"shadow mode needs an adapter with predict; {model_class.__name__} lacks it")
+        raise NoShadowError(f"shadow mode needs an adapter with predict; {model_class.__name__} lacks it")
     kind: Any = type(model_class)  # a metaclass of the adapter's, if it has one
     shadow: type[Policy] = kind(model_class.__name__, (_Shadow, model_class), {"__module__": model_class.__module__})
     return shadow
 
 
 class _Shadow(Policy):
-    """What stands before the adapter's class in the order of resolution."""
+    """Mixin that precedes the adapter's class in the method resolution order."""
 
     def __init__(self, config: Config) -> None:
         manifest = Manifest.parse(config.get("manifest"))
         declared = manifest.shadow
         if not self._encodes and manifest.model_io is None:
             name = type(self).__name__
-            raise UndividedError(f"shadow mode needs an adapter with encode, or a block model_io; {name} has neither")
+            raise NoShadowError(f"shadow mode needs an adapter with encode, or a block model_io; {name} has neither")
         super().__init__(config)
         width = action_dim(self.embodiment, self.action_type)
         steps = self.chunk if self.interface is None else self.interface.action.steps
@@ -94,13 +94,13 @@ class _Shadow(Policy):
         if declared.shape:
             shape = (declared.shape[0], declared.shape[1])
         self._shadow_converts = not declared.shape
-        self._shadow_answers = Answers(shape, *_ranges(self, shape[1], declared.range or None))
+        self._shadow_answers = ShadowAnswers(shape, *_ranges(self, shape[1], declared.range or None))
 
     def load(self, config: Config) -> None:
         """Load nothing."""
 
     def encode(self, obs: Observation, env: int) -> Any:
-        """Return what the adapter's `encode` does.
+        """Return the result of the adapter's `encode`.
 
         Raises:
             ShadowError: if that is the observation itself: what is read of it shows in `predict` only.
@@ -129,12 +129,12 @@ class _Shadow(Policy):
         return [self._in_model_terms(self.interface, answer, env) for answer, env in zip(answers, envs)]
 
     def reset_env(self, env: int) -> None:
-        """Let the adapter forget state of a library, as far as there is any."""
+        """Call the adapter's `reset_env`, except for parts of the model."""
         with contextlib.suppress(NotLoadedError):  # what belongs to the model
             super().reset_env(env)
 
     def __getattr__(self, name: str) -> Any:
-        """Say what is missing where an adapter's method asks for its model."""
+        """Raise a clear error if an adapter's method uses its model."""
         inherited: Callable[[str], Any] | None = getattr(super(), "__getattr__", None)
         if inherited is not None:
             return inherited(name)
@@ -144,17 +144,17 @@ class _Shadow(Policy):
     def _encodes(self) -> bool:
         return super(_Shadow, type(self)).encode is not Policy.encode
 
-    def _compiled(self, model_io: Entry | None) -> Interface | None:
-        """Compile a block model_io with plain values where it is open, or where statistics are not there."""
+    def _compile_interface(self, model_io: Entry | None) -> Interface | None:
+        """Compile a block model_io with placeholders for unknown values and without missing statistics."""
         if model_io is None:
             return None
         from xpl.convert.gaps import fill_gaps, missing_files
 
         lacking = missing_files(model_io, checkpoint.folders(self.config, self.policy_dir))
-        return super()._compiled(fill_gaps(model_io, self.embodiment, self.action_type, lacking))
+        return super()._compile_interface(fill_gaps(model_io, self.embodiment, self.action_type, lacking))
 
     def _in_model_terms(self, interface: Interface, answer: np.ndarray, env: int) -> np.ndarray:
-        """Return the chunk that a model would answer for these absolute actions (H, D) of the standard."""
+        """Return the model output of absolute actions (H, D) of the standard."""
         known = self._environments[env]
         steps = decode_rows(answer, self.embodiment, self.action_type)
         state = known.frames[-1].obs[spec.Obs.STATE]

@@ -1,7 +1,6 @@
-"""One model for several clients: each has environments of its own, and those that ask at once are one batch.
+"""One model for several clients: each has its own environments; simultaneous requests form one batch.
 
-An adapter allows it with `serving: {shared: true}` in policy.yml. `xpl.episodes` says by which numbers it knows their
-environments.
+An adapter enables it with `serving: {shared: true}` in policy.yml. `xpl.episodes` defines the environment indices.
 """
 
 from __future__ import annotations
@@ -19,30 +18,30 @@ if TYPE_CHECKING:
     from xpl.contract import Observation
 
 _FAILURES = (BaseException,)
-"""What belongs to the client whose request raised it: anything (`xpl.worker.main`)."""
+"""Exceptions that are returned to the client of the request: all (`xpl.worker.main`)."""
 
 
 @dataclass
-class _Client:
-    """What is remembered of one client in its episode.
+class _ClientState:
+    """State of one client in its episode.
 
     Attributes:
-        first: number that the adapter knows its environment 0 by.
+        first: index in the model of its environment 0.
         order: environments of its last observations, or None before any.
-        known: all its environments since the last reset.
+        observed: all its environments since the last reset.
     """
 
     first: int
     order: list[int] | None = None
-    known: set[int] = field(default_factory=set)
+    observed: set[int] = field(default_factory=set)
 
     def numbers(self, envs: Sequence[Any]) -> list[int]:
-        """Return the adapter's numbers of environments of this client."""
+        """Return the indices in the model of environments of this client."""
         return [self.first + env_index(env) for env in envs]
 
 
 @dataclass(frozen=True)
-class Request:
+class SharedRequest:
     """One client's operation: `infer` or one of the contract, and its argument."""
 
     client: int
@@ -59,36 +58,36 @@ class SharedModel:
 
     def __init__(self, model: Any) -> None:
         self._model = model
-        self._clients: dict[int, _Client] = {}
+        self._clients: dict[int, _ClientState] = {}
 
-    def run(self, requests: Sequence[Request]) -> list[Any]:
+    def run(self, requests: Sequence[SharedRequest]) -> list[Any]:
         """Return the result of each request, or the exception that it raised; at most one request of each client.
 
-        A failure belongs to the client that caused it: if the common batch raises, every request is tried alone.
+        A failure is returned only to the client that caused it: if the batch raises, each request is run alone.
         """
         results: list[Any] = [None] * len(requests)
-        asked: dict[int, list[int]] = {}
+        envs_by_request: dict[int, list[int]] = {}
         for place, request in enumerate(requests):
             try:
-                wanted = self._observe(request)
+                envs = self._observe(request)
             except _FAILURES as error:  # noqa: PERF203 - each is tried alone
                 results[place] = error
             else:
-                if wanted is not None:
-                    asked[place] = wanted
-        for place, chunks in self._answers(asked).items():
+                if envs is not None:
+                    envs_by_request[place] = envs
+        for place, chunks in self._answers(envs_by_request).items():
             single = requests[place].method in (spec.Method.INFER, spec.Method.GET_ACTION)
             results[place] = chunks[0] if single and isinstance(chunks, list) else chunks
         return results
 
-    def _observe(self, request: Request) -> list[int] | None:
-        """Do what a request does before actions are asked for, and return the environments it asks for, if any."""
-        client = self._clients.setdefault(request.client, _Client(shared_index(request.client, 0)))
+    def _observe(self, request: SharedRequest) -> list[int] | None:
+        """Run the part of a request before inference; return the environments to infer, if any."""
+        client = self._clients.setdefault(request.client, _ClientState(shared_index(request.client, 0)))
         method, argument = request.method, request.argument
         if method == spec.Method.RESET:
             client.order = None
-            self._model.reset_envs(sorted(client.known))
-            client.known.clear()  # not before: a reset that failed is tried again for the same environments
+            self._model.reset_envs(sorted(client.observed))
+            client.observed.clear()  # after the reset: a failed one is repeated for the same environments
             return None
         actions = method == spec.Method.GET_ACTION and isinstance(argument, Mapping)
         if actions or method in (spec.Method.INFER, spec.Method.UPDATE_OBS):
@@ -107,36 +106,36 @@ class SharedModel:
             raise PolicyStateError(f"get_action answers one environment, but the last batch held {envs}")
         return client.order
 
-    def _update(self, client: _Client, observations: Sequence[Observation], envs: Sequence[Any]) -> None:
+    def _update(self, client: _ClientState, observations: Sequence[Observation], envs: Sequence[Any]) -> None:
         numbers = client.numbers(envs)
         if any(number >= client.first + CLIENT_ENVS for number in numbers):
             raise ObservationError(f"env_idx must be below {CLIENT_ENVS} where clients share a model, got {list(envs)}")
         self._model.update_obs_batch([{**obs, spec.Obs.ENV_IDX: number} for obs, number in zip(observations, numbers)])
         client.order = numbers
-        client.known.update(numbers)
+        client.observed.update(numbers)
 
-    def _checked(self, client: _Client, numbers: list[int]) -> list[int]:
+    def _checked(self, client: _ClientState, numbers: list[int]) -> list[int]:
         envs = [number - client.first for number in numbers]
-        unknown = [env for env, number in zip(envs, numbers) if client.order is None or number not in client.known]
+        unknown = [env for env, number in zip(envs, numbers) if client.order is None or number not in client.observed]
         if unknown:
             raise PolicyStateError(f"environments {unknown} have no observation since the last reset")
         if len(set(envs)) != len(envs):
             raise PolicyStateError(f"an environment is repeated in {envs}")
         return numbers
 
-    def _answers(self, asked: Mapping[int, list[int]]) -> dict[int, Any]:
+    def _answers(self, envs_by_request: Mapping[int, list[int]]) -> dict[int, Any]:
         """Return the chunks, or the exception, for each place that asked for some environments."""
-        together = [number for numbers in asked.values() for number in numbers]
+        together = [number for numbers in envs_by_request.values() for number in numbers]
         try:
             chunks = list(self._model.get_action_batch(together)) if together else []
             if len(chunks) != len(together):
                 raise ValueError(f"get_action_batch returned {len(chunks)} chunks for {len(together)} environments")
         except _FAILURES as error:
-            if len(asked) == 1:
-                return dict.fromkeys(asked, error)
-            return {place: self._answers({place: numbers})[place] for place, numbers in asked.items()}
+            if len(envs_by_request) == 1:
+                return dict.fromkeys(envs_by_request, error)
+            return {place: self._answers({place: numbers})[place] for place, numbers in envs_by_request.items()}
         answers, start = {}, 0
-        for place, numbers in asked.items():
+        for place, numbers in envs_by_request.items():
             answers[place] = chunks[start : start + len(numbers)]
             start += len(numbers)
         return answers

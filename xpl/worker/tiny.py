@@ -27,10 +27,10 @@ from xpl import ecosystem
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
 from xpl.process.modules import execute, register_package
-from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, carry_out, failed, result
+from xpl.worker.copies import copy_value
 from xpl.worker.inprocess import load
 from xpl.worker.loading import LoadError
+from xpl.worker.subprocess_task import FAILURES, pack_error, pack_result, run_once
 
 Gain = Callable[[str], float]
 Recipe = Callable[[Path, Gain], object]
@@ -42,7 +42,7 @@ _ROUNDS = 7
 
 def main(asked: str, answers: str) -> NoReturn:
     """Write a checkpoint as one file says, write what was measured to another, and end."""
-    carry_out(asked, answers, _rounds)
+    run_once(asked, answers, _rounds)
 
 
 def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
@@ -53,7 +53,9 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
         for _ in range(_ROUNDS):
             asked = _written(write, Path(request["folder"]), request, gains)
             effects = measure(load(request), request["bases"], request["inputs"])
-            yield result({"effects": effects, "gains": dict(gains), "asked": asked, "bytes": _size(request["folder"])})
+            yield pack_result(
+                {"effects": effects, "gains": dict(gains), "asked": asked, "bytes": _size(request["folder"])}
+            )
             weak = {one["gain"] for one in request["inputs"] if effects[one["name"]] < request["share"]}
             helps = {
                 name
@@ -67,7 +69,7 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
             for name in helps:
                 gains[name] = gains.get(name, 1.0) * _STEP
     except FAILURES as error:
-        yield failed(error)
+        yield pack_error(error)
 
 
 def _recipe(folder: Path, file: str, function: str) -> Recipe:
@@ -155,6 +157,6 @@ def _answer(model: Any, episode: Sequence[Any]) -> np.ndarray:
         model._episodes = EpisodeCounter()  # noqa: SLF001 - its seeds are those of the first episode again
     model.reset()
     for observation in episode:
-        model.update_obs(own(observation))
+        model.update_obs(copy_value(observation))
     steps = model.get_action()
     return np.stack([np.concatenate([np.ravel(step[key]) for key in sorted(step)]) for step in steps])

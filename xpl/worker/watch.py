@@ -1,6 +1,6 @@
-"""What a model does to the observations that it is shown, and with a reset that fails; for audits, in its own process.
+"""Records what a model does to its observations, and whether reset hides a failure; for audits, in its process.
 
-A client cannot see either: what it sent has long left its memory, and a swallowed failure looks like success.
+A client can detect neither: it has only copies, and a suppressed exception looks like success.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from typing import Any, Callable
 import numpy as np
 
 from xpl import _spec as spec
-from xpl.nested import Place, leaves, written
-from xpl.worker.copies import own
+from xpl.nested import ValuePath, format_path, leaves
+from xpl.worker.copies import copy_value
 
 CHANGED, SHARED, SWALLOWED = "changed", "shared", "swallowed"
 """Kinds of notes."""
 NOTES, BREAK_RESET = "watched_notes", "watched_break_reset"
-"""Operations that a watched model offers besides its own."""
+"""Additional operations of a watched model."""
 _SHOWING = (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH, spec.Method.INFER)
 _WATCHED = (*_SHOWING, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 _REMEMBERED = 8
@@ -31,8 +31,8 @@ _REMEMBERED = 8
 _PARTS = (spec.Method.RESET, "clear")
 
 
-class Watched:
-    """A model whose dealings with its observations are noted. Everything else is the model's own.
+class WatchedModel:
+    """Wrapper of a model that records what the model does to its observations.
 
     Args:
         model: an adapter's model. What it is shown must be nobody else's, and may be written to: a change is to be
@@ -42,7 +42,7 @@ class Watched:
     def __init__(self, model: Any) -> None:
         self._model = model
         self._notes: list[dict[str, str]] = []
-        self._seen: deque[_Seen] = deque(maxlen=_REMEMBERED)
+        self._watched: deque[_WatchedObservation] = deque(maxlen=_REMEMBERED)
         self._last: tuple[str, Any] | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -63,8 +63,8 @@ class Watched:
         for label, owner, name in _parts(self._model):
             if self._last is not None:  # where nothing was shown there may be nothing to reset
                 method, argument = self._last
-                getattr(self._model, method)(own(argument))
-            with _broken(owner, name) as calls:
+                getattr(self._model, method)(copy_value(argument))
+            with _failing_method(owner, name) as calls:
                 try:
                     self._model.reset()
                 except (Exception, SystemExit):  # noqa: BLE001 - any is as loud as another
@@ -80,20 +80,20 @@ class Watched:
 
     def _watch(self, name: str, operation: Callable[..., Any], *arguments: Any) -> Any:
         if name in _SHOWING:
-            self._last = (name, own(arguments[0]))
+            self._last = (name, copy_value(arguments[0]))
             shown = arguments[0] if isinstance(arguments[0], list) else [arguments[0]]
-            self._seen.extend(map(_Seen, shown))
+            self._watched.extend(map(_WatchedObservation, shown))
         try:
             result = operation(*arguments)
         finally:
-            for seen in self._seen:
+            for seen in self._watched:
                 for changed in seen.changes():
                     self._note(CHANGED, name, changed)
         for key, array in _arrays(result):
-            for seen in self._seen:
+            for seen in self._watched:
                 shared = seen.sharing(array)
                 if shared is not None:
-                    self._note(SHARED, name, written(key), **{"with": shared})
+                    self._note(SHARED, name, format_path(key), **{"with": shared})
         return result
 
     def _note(self, what: str, method: str, key: str, **more: str) -> None:
@@ -102,30 +102,30 @@ class Watched:
             self._notes.append(note)
 
 
-class _Seen:
-    """An observation as the model has it, and what it held when it was shown."""
+class _WatchedObservation:
+    """An observation that the model has, and fingerprints of its values."""
 
     def __init__(self, obs: object) -> None:
         self._obs = obs
-        self._held = _prints(obs)
+        self._held = _fingerprints(obs)
 
     def changes(self) -> list[str]:
-        """Return the keys that hold something else than at the last look."""
-        now = _prints(self._obs)
+        """Return the keys whose values changed since the last call."""
+        now = _fingerprints(self._obs)
         changed = [key for key in {**self._held, **now} if self._held.get(key) != now.get(key)]
         self._held = now
-        return sorted(map(written, changed))
+        return sorted(map(format_path, changed))
 
     def sharing(self, array: np.ndarray) -> str | None:
         """Return the key of an array here that shares memory with another array."""
         for key, held in _arrays(self._obs):
             if np.may_share_memory(held, array) and np.shares_memory(held, array):
-                return written(key)
+                return format_path(key)
         return None
 
 
 def _parts(model: Any) -> Iterator[tuple[str, Any, str]]:
-    """Yield what a reset may call: methods of the model and of its attributes, with a name for people."""
+    """Yield (label, owner, name) of methods that a reset may call, of the model and its attributes."""
     for name in _resets(model):
         if name != spec.Method.RESET:
             yield name, model, name
@@ -143,8 +143,8 @@ def _resets(value: object) -> list[str]:
 
 
 @contextlib.contextmanager
-def _broken(owner: object, name: str) -> Iterator[list[str]]:
-    """Have a method of one object raise for the length of a `with` block; yields a list of its calls."""
+def _failing_method(owner: object, name: str) -> Iterator[list[str]]:
+    """Let a method of an object raise within a `with` block; yield the list of its calls."""
     calls: list[str] = []
 
     def fail(*_: Any, **__: Any) -> None:
@@ -166,8 +166,8 @@ def _broken(owner: object, name: str) -> Iterator[list[str]]:
             delattr(owner, name)
 
 
-def _arrays(value: object) -> Iterator[tuple[Place, np.ndarray]]:
-    """Yield every array in a value, and the memory of every tensor that lies where an array can see it."""
+def _arrays(value: object) -> Iterator[tuple[ValuePath, np.ndarray]]:
+    """Yield (path, array) of every array in a value, and of every tensor that numpy can view."""
     for key, leaf in leaves(value):
         if isinstance(leaf, np.ndarray):
             yield key, leaf
@@ -176,8 +176,8 @@ def _arrays(value: object) -> Iterator[tuple[Place, np.ndarray]]:
                 yield key, leaf.detach().numpy()
 
 
-def _prints(obs: object) -> dict[Place, str]:
-    """Return a short text for every value of an observation, equal as long as the value is."""
+def _fingerprints(obs: object) -> dict[ValuePath, str]:
+    """Return a fingerprint of every value of an observation, by path."""
     return {
         key: f"{leaf.dtype.str}{leaf.shape}{hashlib.sha256(leaf.tobytes()).hexdigest()}"
         if isinstance(leaf, np.ndarray)

@@ -124,7 +124,7 @@ def _command(
 
 
 class PersistentTask:
-    """A task that loads an adapter once and then answers several requests (`xpl.worker.errand.stand`).
+    """A task that loads an adapter once and answers requests (`xpl.worker.subprocess_task`).
 
     Args:
         module: a module of the SDK.

@@ -35,7 +35,7 @@ _ERROR = "error: "
 
 @dataclass(frozen=True)
 class MissingRequirement:
-    """What a machine lacks, so that a model cannot load or answer there (`xpl.worker.lacking`).
+    """What a machine lacks, so that a model cannot load or answer there (`xpl.worker.missing_requirements`).
 
     Attributes:
         kind: such as `module` or `checkpoint`.

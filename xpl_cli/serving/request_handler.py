@@ -8,7 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
-from xpl.wire import codec, packed, telling
+from xpl.wire import codec, error_text, packed
 from xpl_cli.serving.decoding import ImageDecoder
 from xpl_cli.serving.payloads import has_images, pack
 from xpl_cli.serving.requests import RequestError, failure_code, method_of, packed_payload
@@ -233,7 +233,7 @@ def encode_error(frame: codec.Frame, error: RequestError) -> bytes:
 
 def server_fault(error: Exception) -> RequestError:
     """Return the error answer for a fault of the server itself."""
-    description = telling.describe(error)
+    description = error_text.describe(error)
     log_lines(description["traceback"])
     return RequestError(
         spec.ErrorCode.INTERNAL, f"fault of the server: {description['type']}: {description['message']}"

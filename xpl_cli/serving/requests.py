@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl.wire import codec, packed, telling
+from xpl.wire import codec, error_text, packed
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,8 +36,8 @@ class RequestError(Exception):
         details = {**({"reason": self.reason} if self.reason else {}), **self.details}
         return {
             spec.Payload.CODE: self.code,
-            spec.Payload.MESSAGE: telling.sendable(str(self)),
-            spec.Payload.DETAILS: telling.sendable_tree(details),
+            spec.Payload.MESSAGE: error_text.sendable(str(self)),
+            spec.Payload.DETAILS: error_text.sendable_tree(details),
         }
 
 

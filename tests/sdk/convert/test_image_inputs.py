@@ -144,7 +144,7 @@ def test_numbers_that_are_not_rounded() -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ({"cameras": ("cam_head", "cam_left_wrist")}, "model_io.images image: shows 2 cameras as one input; say stack"),
+        ({"cameras": ("cam_head", "cam_left_wrist")}, "model_io.images image: has 2 cameras in one input; set stack"),
         ({"range": [0, 1]}, "model_io.images image: bytes have neither range"),
         ({"dtype": "float32", "range": [1, 1]}, "model_io.images image: range is 1 at both ends"),
         ({"dtype": "float32", "std": [1, 0, 1]}, "model_io.images image: std holds a zero"),

@@ -155,7 +155,7 @@ UNFIT: list[tuple[dict[str, Any], str]] = [
     (_changed(parts=[GRIPPER]), "model_io.action .* no part gives arm_joint_state"),
     (_changed(parts=[*ACTION["parts"], GRIPPER]), "model_io.action has a part twice: gripper single"),
     (_changed(parts=[*ACTION["parts"], {"position": {"arm": "single"}}]), "model_io.action has position single"),
-    (_changed(pad=7), "model_io.action.pad is 7, but its parts have 8 numbers"),
+    (_changed(pad=7), "model_io.action.pad is 7, but its parts have 8 values"),
     (_changed(steps=4), "model_io.action.steps is 4, and temporal.chunk 8"),
     (_changed(normalize={"unknown": "ask the authors"}), r"action.normalize \(ask the authors\)"),
     (

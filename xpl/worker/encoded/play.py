@@ -1,4 +1,4 @@
-"""Answers the same questions with one change of the encoded inputs after another (`xpl.worker.changes`).
+"""Answers the same questions with one change of the encoded inputs after another (`xpl.worker.perturbed_answers`).
 
 What an audit looks for the mistake with where an adapter converts in code: pictures that `encode` made are scaled
 otherwise, texts and vectors written otherwise, while `decode` sees what was shown. Of each change the answer has
@@ -17,13 +17,13 @@ from xpl.catalogue.walk import EncodeOne, NoEffectError, leaves, map_leaves
 from xpl.contract import Entry, Observation
 from xpl.conventions import instruction
 from xpl.wire.arrays import as_array
+from xpl.worker.block_answers import replay_from_start
 from xpl.worker.encoded import pictures, turns, vectors
 from xpl.worker.encoded.draws import Drawn
 from xpl.worker.encoded.rebuilt import Rebuilt
 from xpl.worker.encoded.repeats import Once
 from xpl.worker.encoded.segments import Segments
-from xpl.worker.errand import FAILURES, failed, result
-from xpl.worker.variants import renewed
+from xpl.worker.subprocess_task import FAILURES, pack_error, pack_result
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -77,9 +77,9 @@ def changes(
                 if one.get("way") in ("out", "both"):
                     predict = _answering(predict, one)
             model.encode, model.predict = encode, predict  # type: ignore[method-assign]
-            yield result({"answers": list(renewed(model, calls)), **told})
+            yield pack_result({"answers": list(replay_from_start(model, calls)), **told})
         except FAILURES as error:
-            yield failed(error)
+            yield pack_error(error)
         finally:
             model.encode, model.predict = own, predicts  # type: ignore[method-assign]
 
@@ -110,8 +110,8 @@ def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
     """Return the answers with other draws, packed."""
     drawn = Drawn(model, how)
     model.predict = drawn.predict  # type: ignore[method-assign]
-    answers = list(renewed(model, calls))
-    return result({"answers": answers, **drawn.told})
+    answers = list(replay_from_start(model, calls))
+    return pack_result({"answers": answers, **drawn.told})
 
 
 def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
@@ -122,10 +122,10 @@ def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
     """
     once = Once()
     with once.around(model):
-        answers = list(renewed(model, calls))
+        answers = list(replay_from_start(model, calls))
     if not once.left_out:
         raise NoEffectError("nothing is called twice")
-    return result({"answers": answers})
+    return pack_result({"answers": answers})
 
 
 _WHOLE = {"drawn": _drawn, "once": _once}

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xpl.contract import Config, Observation
     from xpl_cli.packages.package import Package
 
-_ERRAND: Final = "xpl.worker.inputs"
+_ERRAND: Final = "xpl.worker.model_inputs"
 _LEAST_SIDE: Final = 16
 """Of what is taken for a picture, pixels."""
 _MOST_PICTURES: Final = 32

@@ -53,7 +53,7 @@ class ModelLoadError(Exception):
     """The model could not be loaded.
 
     Attributes:
-        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.worker.lacking`).
+        lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.worker.missing_requirements`).
     """
 
     def __init__(self, reason: str, lacks: Mapping[str, str] | None = None) -> None:

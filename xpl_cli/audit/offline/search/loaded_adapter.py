@@ -160,7 +160,7 @@ class LoadedAdapter:
         self._sent.clear()
         order = {**inprocess.load_request(self._probe), "config": self._config, "block": dict(self._block)}
         standing = subprocess_task.PersistentTask(
-            "xpl.worker.changes", order, inprocess.process_options(self._probe, seconds + _MORE_S)
+            "xpl.worker.perturbed_answers", order, inprocess.process_options(self._probe, seconds + _MORE_S)
         )
         try:
             inprocess.answers_after_load(standing.loaded)

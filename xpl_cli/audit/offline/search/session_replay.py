@@ -80,7 +80,7 @@ class SessionReplay:
         return calls
 
     def worker_request(self, calls: Sequence[Call], sent: set[str]) -> dict[str, Any]:
-        """Return calls as a request to `xpl.worker.changes`, a process in the adapter's interpreter.
+        """Return calls as a request to `xpl.worker.perturbed_answers`, a process in the adapter's interpreter.
 
         Args:
             calls: of this session.

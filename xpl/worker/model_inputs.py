@@ -1,10 +1,10 @@
-"""Shows an adapter an episode and tells what its model gets and says: an errand in the policy's interpreter.
+"""Records a model's inputs and outputs for an episode: a subprocess task in the policy's interpreter.
 
     {"policy_dir", "config", "manifest", "observations": [observation, ...]}
     one map for the load, one for the question: a "result" or an "error". The result has "inputs", what `predict` got,
     "raw", what it answered, and "steps", what became of that; or "failed", why nothing did.
 
-What cannot travel, such as an object of a library of its own, is told by its type.
+A value that cannot be encoded is replaced by its type's name.
 """
 
 from __future__ import annotations
@@ -16,58 +16,58 @@ import numpy as np
 
 from xpl.policy import Policy
 from xpl.wire import packed
-from xpl.worker.copies import own
-from xpl.worker.errand import FAILURES, Order, carry_out, failed, result
+from xpl.worker.copies import copy_value
 from xpl.worker.inprocess import on_model
 from xpl.worker.loading import LoadError
+from xpl.worker.subprocess_task import FAILURES, TaskRequest, pack_error, pack_result, run_once
 
 _DEEPEST = 8
 
 
-def main(asked: str, answers: str) -> NoReturn:
-    """Show what one file says, write what was seen to another, and end."""
-    carry_out(asked, answers, _all)
+def main(request_path: str, answers: str) -> NoReturn:
+    """Answer the request in a file, and end."""
+    run_once(request_path, answers, _all)
 
 
-def _all(order: Order) -> Iterator[bytes]:
+def _all(order: TaskRequest) -> Iterator[bytes]:
     def play(model: Any) -> Iterator[bytes]:
         if not isinstance(model, Policy):
-            yield failed(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown"))
+            yield pack_error(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown"))
             return
-        yield result(None)
+        yield pack_result(None)
         try:
-            yield result(_seen(model, order["observations"]))
+            yield pack_result(_observe_predict(model, order["observations"]))
         except FAILURES as error:
-            yield failed(error)
+            yield pack_error(error)
 
     return on_model(order, play)
 
 
-def _seen(model: Any, observations: list[Any]) -> dict[str, Any]:
-    """Return what the model got at the last of some observations, and what came of it."""
-    told: dict[str, Any] = {}
+def _observe_predict(model: Any, observations: list[Any]) -> dict[str, Any]:
+    """Return inputs, output and action steps of the model at the last observation."""
+    recorded: dict[str, Any] = {}
     predict = model.predict
 
     def watched(inputs: object, envs: object) -> Any:
-        told["inputs"] = plain(inputs)
+        recorded["inputs"] = plain(inputs)
         raw = predict(inputs, envs)
-        told["raw"] = plain(raw)
+        recorded["raw"] = plain(raw)
         return raw
 
     model.predict = watched
     model.reset()
     for observation in observations:
-        model.update_obs(own(observation))
+        model.update_obs(copy_value(observation))
     try:
-        return {"steps": plain(model.get_action()), **told}
+        return {"steps": plain(model.get_action()), **recorded}
     except FAILURES as error:
-        if "inputs" not in told:
+        if "inputs" not in recorded:
             raise
-        return {"steps": [], "failed": f"{type(error).__name__}: {error}", **told}
+        return {"steps": [], "failed": f"{type(error).__name__}: {error}", **recorded}
 
 
 def plain(value: object, depth: int = _DEEPEST) -> Any:
-    """Return a value that can travel: maps, lists, texts, numbers and arrays as they are, all else by its type."""
+    """Return a value that can be encoded: other objects are replaced by their type's name."""
     if isinstance(value, Mapping) and depth:
         return {str(key): plain(item, depth - 1) for key, item in value.items()}
     if isinstance(value, (list, tuple)) and depth:

@@ -1,4 +1,4 @@
-"""What h5py, which has no types, gives of a file: as much of its datasets and groups as is used here."""
+"""Types of the parts of h5py that are used here; h5py has none."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
     import numpy as np
 
 
-class Dataset(Protocol):
+class HDF5Dataset(Protocol):
     """An array of a file."""
 
     name: str
-    file: File
+    file: HDF5File
     attrs: MutableMapping[str, object]
     shape: tuple[int, ...]
     ndim: int
@@ -33,39 +33,39 @@ class Dataset(Protocol):
         """Change its shape."""
 
 
-class Group(Protocol):
+class HDF5Group(Protocol):
     """A group of a file, or the open file itself."""
 
     id: object
     name: str
-    file: File
+    file: HDF5File
     attrs: MutableMapping[str, object]
 
     def __iter__(self) -> Iterator[str]:
         """Yield the names in it."""
 
     def __contains__(self, name: object) -> bool:
-        """Tell whether it has a name."""
+        """Return whether it has an entry of this name."""
 
     def __getitem__(self, name: str) -> Any:
         """Return the group or dataset of a name; links are followed."""
 
     def __delitem__(self, name: str) -> None:
-        """Take a name out."""
+        """Delete an entry."""
 
     def get(self, name: str, *, getlink: bool) -> object:
-        """Return the link that a name is."""
+        """Return the link of an entry."""
 
-    def create_dataset(self, name: str, *arguments: object, **options: object) -> Dataset:
-        """Make a dataset."""
+    def create_dataset(self, name: str, *arguments: object, **options: object) -> HDF5Dataset:
+        """Create a dataset."""
 
 
-class File(Group, Protocol):
+class HDF5File(HDF5Group, Protocol):
     """An open file."""
 
     filename: str
 
-    def __enter__(self) -> File:  # noqa: PYI034 - Python 3.9 has no Self
+    def __enter__(self) -> HDF5File:  # noqa: PYI034 - Python 3.9 has no Self
         """Return the file."""
 
     def __exit__(self, *error: object) -> None:

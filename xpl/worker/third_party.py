@@ -1,4 +1,4 @@
-"""Whose a module is that cannot be found: the adapter's own, or somebody else's that would have to be installed."""
+"""Whether a missing module belongs to the adapter, or to a third party and needs to be installed."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from pathlib import Path
 from xpl import _spec as spec
 
 _ENOUGH_ALIKE = 0.8
-_NEEDS = (".txt", ".toml", ".cfg", ".yml", ".yaml", ".sh")  # files that say what to install
+_NEEDS = (".txt", ".toml", ".cfg", ".yml", ".yaml", ".sh")  # files that list requirements
 _SETUP = "setup.py"
-_PROJECT = ("pyproject.toml", _SETUP, "setup.cfg", "requirements.txt", ".git")  # make a folder somebody's repository
+_PROJECT = ("pyproject.toml", _SETUP, "setup.cfg", "requirements.txt", ".git")  # mark a folder as a repository
 _DEPTH = 4
-_MOST = 400  # files that say what to install, of one adapter
+_MOST = 400  # files that list requirements, of one adapter
 _LARGEST = 1 << 20
-# Distributions that are called otherwise than what they let one import, as those who package them do.
-_CALLED = {
+# Distributions whose name differs from their module's.
+_DISTRIBUTION_NAMES = {
     "cv2": "opencv",
     "PIL": "pillow",
     "yaml": "pyyaml",
@@ -36,15 +36,15 @@ _CALLED = {
 
 
 def is_third_party(module: str, policy_dir: Path) -> bool:
-    """Tell whether a module that cannot be found belongs to somebody else.
+    """Return whether a missing module belongs to a third party.
 
-    A name that a file or folder of the adapter has, or nearly has, is the adapter's: a misspelt import is a mistake,
-    unless what it installs is called so, or what it vendors imports it, too. A missing part of a package that is there
-    is a mistake, too.
+    A name equal or similar to a file or folder of the adapter is the adapter's own: a misspelt import is a mistake,
+    unless its requirements or a vendored repository name the module. A missing part of an installed package is a
+    mistake, too.
     """
     top = module.partition(".")[0]
     own = own_names(policy_dir)
-    if not top or top in own or top.startswith("_xpl_policy_") or _is_there(top):
+    if not top or top in own or top.startswith("_xpl_policy_") or _is_importable(top):
         return False
     if not difflib.get_close_matches(top, own, n=1, cutoff=_ENOUGH_ALIKE):
         return True
@@ -52,43 +52,43 @@ def is_third_party(module: str, policy_dir: Path) -> bool:
 
 
 def own_names(policy_dir: Path) -> frozenset[str]:
-    """Return the names that the modules and packages of an adapter have, without those of repositories it vendors."""
-    found: set[str] = set()
+    """Return the names of an adapter's modules and packages, without vendored repositories."""
+    names: set[str] = set()
     for folder, folders, files in os.walk(policy_dir):
         is_top = Path(folder) == policy_dir
         if not is_top and any(mark in files or mark in folders for mark in _PROJECT):
             folders[:] = []
             continue
         folders[:] = [name for name in folders if name.isidentifier() and name != spec.CHECKPOINT_DIRECTORY]
-        found.update(name[: -len(".py")] for name in files if name.endswith(".py"))
+        names.update(name[: -len(".py")] for name in files if name.endswith(".py"))
         if not is_top and any(name.endswith(".py") for name in files):
-            found.add(Path(folder).name)
-    return frozenset(found)
+            names.add(Path(folder).name)
+    return frozenset(names)
 
 
-def vendored(policy_dir: Path) -> list[Path]:
-    """Return the folders of an adapter that are somebody's repository, the outermost ones."""
-    found: list[Path] = []
+def vendored_repositories(policy_dir: Path) -> list[Path]:
+    """Return the outermost folders of vendored repositories in an adapter."""
+    repositories: list[Path] = []
     for folder, folders, files in os.walk(policy_dir):
         place = Path(folder)
         if place != policy_dir and any(mark in files or mark in folders for mark in _PROJECT):
-            found.append(place)
+            repositories.append(place)
             folders[:] = []
         elif len(place.relative_to(policy_dir).parts) >= _DEPTH:
             folders[:] = []
-    return sorted(found)
+    return sorted(repositories)
 
 
 def _is_installed_by(module: str, policy_dir: Path) -> bool:
-    """Tell whether the files that say what an adapter needs name a module, or the distribution that is called so."""
-    names = {module, _CALLED.get(module, module)}
+    """Return whether the adapter's requirements name a module or its distribution."""
+    names = {module, _DISTRIBUTION_NAMES.get(module, module)}
     words = "|".join(re.escape(name).replace("_", "[-_]") for name in sorted(names))
     pattern = re.compile(rf"(?<![\w.-])(?:{words})(?![\w-])", re.IGNORECASE)
-    return any(pattern.search(text) for text in _needs(policy_dir))
+    return any(pattern.search(text) for text in _requirement_texts(policy_dir))
 
 
-def _needs(policy_dir: Path) -> Iterator[str]:
-    """Yield the texts of the files that say what to install, also of what is vendored."""
+def _requirement_texts(policy_dir: Path) -> Iterator[str]:
+    """Yield the texts of requirement files, also of vendored repositories."""
     count = 0
     for folder, folders, files in os.walk(policy_dir):
         depth = len(Path(folder).relative_to(policy_dir).parts)
@@ -105,12 +105,12 @@ def _needs(policy_dir: Path) -> Iterator[str]:
 
 def _is_imported_by_vendored(module: str, policy_dir: Path) -> bool:
     pattern = re.compile(rf"^\s*(?:import|from)\s+{re.escape(module)}\b", re.MULTILINE)
-    files = (path for root in vendored(policy_dir) for path in itertools.islice(root.rglob("*.py"), _MOST))
+    files = (path for root in vendored_repositories(policy_dir) for path in itertools.islice(root.rglob("*.py"), _MOST))
     small = (path for path in files if path.is_file() and path.stat().st_size <= _LARGEST)
     return any(pattern.search(path.read_text(encoding="utf-8", errors="replace")) for path in small)
 
 
-def _is_there(module: str) -> bool:
+def _is_importable(module: str) -> bool:
     try:
         return importlib.util.find_spec(module) is not None
     except (ImportError, ValueError):

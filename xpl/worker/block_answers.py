@@ -1,6 +1,6 @@
-"""Answers the same questions with one word of the model_io block after another (`xpl.worker.changes`).
+"""Answers of an adapter under one edit of the model_io block after another (`xpl.worker.perturbed_answers`).
 
-Only the conversions are compiled again. That says something of adapters whose conversions are those of the block alone.
+Only the conversions are compiled again, so it applies only to adapters that convert by the block alone.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from xpl import checkpoint
 from xpl.convert import Interface, compile_interface
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
-from xpl.worker.errand import FAILURES, failed, result
+from xpl.worker.subprocess_task import FAILURES, pack_error, pack_result
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from xpl.contract import Entry
 
 _MOST_BYTES = 256 << 20
-"""What remembered answers and pictures may hold, each."""
+"""Most bytes of cached answers, and of cached images."""
 
 
-def unfit(model: Any) -> str | None:
-    """Return why a model's conversions are not those of its model_io block, None if they are."""
+def why_converts_in_code(model: Any) -> str | None:
+    """Return why a model does not convert by its model_io block alone, None if it does."""
     if not isinstance(model, Policy) or model.interface is None:
         return "the adapter has no model_io block"
     own = [name for name in ("encode", "decode") if getattr(type(model), name) is not getattr(Policy, name)]
     return f"the adapter converts in code: {', '.join(own)}" if own else None
 
 
-class Variants:
-    """Answers under other words of the block.
+class BlockAnswers:
+    """Answers under edits of the block.
 
-    What the model answers to equal inputs is remembered, and what the adapter's own block makes of pictures.
+    Answers to equal inputs are cached, and images converted by the adapter's own block.
 
     Args:
         model: the adapter's; its `interface` is exchanged, and `predict` wrapped.
@@ -49,9 +49,9 @@ class Variants:
     def __init__(self, model: Policy, block: Entry) -> None:
         self._model = model
         sampling = block.get("sampling", "none")
-        self._memory = _Memory(model, seeded=sampling == "seeded")
+        self._memory = _AnswerCache(model, seeded=sampling == "seeded")
         self._remembers = sampling in {"none", "seeded"} and not block.get("recurrent")
-        self._pictures = _Pictures(block)
+        self._pictures = _ImageCache(block)
         self._folders = checkpoint.folders(model.config, model.policy_dir)
 
     def answers(self, blocks: Sequence[Entry], calls: Sequence[Mapping[str, Any]], seconds: float) -> Iterator[bytes]:
@@ -75,13 +75,13 @@ class Variants:
             self._pictures.take_over(interface, block)
             model.interface = interface
             self._memory.begin()
-            return result(list(renewed(model, calls)))
+            return pack_result(list(replay_from_start(model, calls)))
         except FAILURES as error:
-            return failed(error)
+            return pack_error(error)
 
 
-def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
-    """Make a model as it was when it was loaded, and yield what it answers to calls, chunk by chunk."""
+def replay_from_start(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
+    """Reset a model to its state after loading, and yield the chunks of its answers to calls."""
     model.reset()
     model._episodes = EpisodeCounter()  # noqa: SLF001 - it seeds the generators
     for call in calls:
@@ -93,8 +93,8 @@ def renewed(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iterator[Any]:
             yield from model.get_action_batch(call["ask"])
 
 
-class _Memory:
-    """What a model answered to equal inputs: a block that changes commands alone asks it nothing new.
+class _AnswerCache:
+    """Cache of a model's answers to equal inputs: an edit of the action part needs no inference.
 
     Equal inputs have equal answers if nothing is drawn. A model that draws from the generators of its environments has
     equal ones if all inputs since its beginning are equal; its generators are then as after the answer. One that draws
@@ -103,30 +103,30 @@ class _Memory:
 
     def __init__(self, model: Policy, *, seeded: bool) -> None:
         self._model, self._predict, self._seeded = model, model.predict, seeded
-        self._known: dict[str, tuple[Any, dict[int, Any]]] = {}
-        self._held = 0
+        self._cache: dict[str, tuple[Any, dict[int, Any]]] = {}
+        self._bytes = 0
         self._before = ""
 
     def begin(self) -> None:
-        """Tell that the model is as it was when it was loaded."""
+        """Begin from the state after loading."""
         self._before = ""
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
-        """Answer as the model does."""
+        """Return the model's answer, from the cache if possible."""
         key = _digest(inputs)
         if self._seeded:
             key = self._before = _digest({"before": self._before, "now": key, "envs": tuple(envs)})
-        if key in self._known:
-            answer, drawn = self._known[key]
+        if key in self._cache:
+            answer, drawn = self._cache[key]
             for env, state in drawn.items():
                 self._model.rng(env).bit_generator.state = state
             return answer
         states = self._states(envs)
         answer = self._predict(inputs, envs)
         drawn = self._states(envs)
-        self._held += getattr(answer, "nbytes", 1 << 16)
-        if self._held <= _MOST_BYTES and (not self._seeded or all(drawn[env] != states[env] for env in envs)):
-            self._known[key] = answer, drawn
+        self._bytes += getattr(answer, "nbytes", 1 << 16)
+        if self._bytes <= _MOST_BYTES and (not self._seeded or all(drawn[env] != states[env] for env in envs)):
+            self._cache[key] = answer, drawn
         return answer
 
     def _states(self, envs: list[int]) -> dict[int, Any]:
@@ -145,8 +145,8 @@ def _digest(inputs: Mapping[str, Any]) -> str:
     return state.hexdigest()
 
 
-class _Pictures:
-    """Model pictures of the first block, for the many blocks that change something else."""
+class _ImageCache:
+    """Cache of images converted by the first block, for edits of other parts."""
 
     def __init__(self, block: Entry) -> None:
         self._entries = [json.dumps(entry, sort_keys=True) for entry in block.get("images", ())]

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from xpl.errors import ConversionError, OpenError
-from xpl.worker.belonging import is_third_party
-from xpl.worker.lacking import lacking
+from xpl.errors import ConversionError, UnknownValueError
+from xpl.worker.missing_requirements import missing_requirement
+from xpl.worker.third_party import is_third_party
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -50,7 +50,7 @@ NO_HUB = "Can't load tokenizer for 'x'. If you were trying to load it from 'http
         (ConnectionRefusedError(111, "Connection refused"), "server"),
         (KeyError("ckpt_path"), "setting"),
         (_raised(RuntimeError("install it"), ModuleNotFoundError("x", name="flash_attn")), "module"),
-        (OpenError("model_io leaves a value open"), "open"),
+        (UnknownValueError("model_io leaves a value open"), "open"),
         # and what is the adapter's own
         (ConversionError("model_io.action: expected each joint of the robot once"), None),
         (FileNotFoundError(2, "", "layout.json"), None),
@@ -64,16 +64,16 @@ NO_HUB = "Can't load tokenizer for 'x'. If you were trying to load it from 'http
 def test_what_lacks_is_told_by_its_kind(tmp_path: Path, error: BaseException, kind: str | None) -> None:
     (tmp_path / "helpers.py").write_text("")
     (tmp_path / "setup_eval_policy_server.sh").write_text('run --overrides ckpt_path="${ckpt_path}"')
-    found = lacking(error, tmp_path, {"ckpt_name": None})
+    found = missing_requirement(error, tmp_path, {"ckpt_name": None})
     assert (found or {}).get("kind") == kind
 
 
 def test_a_checkpoint_that_is_there_does_not_excuse(tmp_path: Path) -> None:
     config: dict[str, Any] = {"ckpt_name": "run"}
     error = RuntimeError("missing keys in the checkpoint")
-    assert lacking(error, tmp_path, config) is not None
+    assert missing_requirement(error, tmp_path, config) is not None
     (tmp_path / "checkpoints/run").mkdir(parents=True)
-    assert lacking(error, tmp_path, config) is None
+    assert missing_requirement(error, tmp_path, config) is None
 
 
 def test_what_is_vendored_says_which_modules_are_somebody_elses(tmp_path: Path) -> None:

@@ -35,7 +35,7 @@ _PACKAGES = frozenset(
 )
 
 
-class Offering:
+class EcosystemFinder:
     """Finds what lacks of the ecosystem.
 
     Args:
@@ -54,7 +54,7 @@ class Offering:
 
         What stands in for modules that are nowhere comes after it.
         """
-        others = [finder for finder in sys.meta_path if not isinstance(finder, Offering)]
+        others = [finder for finder in sys.meta_path if not isinstance(finder, EcosystemFinder)]
         place = others.index(PathFinder) + 1 if PathFinder in others else len(others)
         sys.meta_path[:] = [*others[:place], self, *others[place:]]
 
@@ -82,12 +82,12 @@ class Offering:
 
 def _package(name: str, folder: Path | None) -> importlib.machinery.ModuleSpec:
     """Return a package whose own `__init__.py` is not run."""
-    found = importlib.machinery.ModuleSpec(name, _Empty(), is_package=True)  # type: ignore[arg-type]
+    found = importlib.machinery.ModuleSpec(name, _NamespaceLoader(), is_package=True)  # type: ignore[arg-type]
     found.submodule_search_locations = [] if folder is None else [str(folder)]
     return found
 
 
-class _Empty:
+class _NamespaceLoader:
     """Loads a package that holds nothing but what lies below it."""
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:  # noqa: ARG002 - of the interface

@@ -1,4 +1,4 @@
-"""Which datasets of a file are images: found by name and by content, sized by a header, decoded one by one."""
+"""Image datasets of a file: detection by name and content, size from the header, decoding one by one."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from xpl.trajectory.errors import TrajectoryError
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
-    from xpl.trajectory.names import Place
-    from xpl.trajectory.nodes import Dataset
+    from xpl.trajectory.hdf5_types import HDF5Dataset
+    from xpl.trajectory.names import DatasetPath
 
 COLOR, DEPTH = spec.Camera.COLOR, spec.Camera.DEPTH
 _BEGINS = {b"\xff\xd8\xff": "jpeg", b"\x89PNG\r\n\x1a\n": "png"}
@@ -29,14 +29,14 @@ _SMALLEST = 8
 
 
 @dataclass(frozen=True)
-class Picture:
-    """Images of a trajectory, one for each step.
+class ImageSeries:
+    """Images of a dataset, one per step.
 
     Attributes:
         height: in pixels.
         width: in pixels.
         kind: `color`, (H, W, 3) uint8 RGB, or `depth`, (H, W) as stored.
-        encoding: how they lie in the file: `raw`, `jpeg`, `png`, or `other` that can be decoded.
+        encoding: storage: `raw`, `jpeg`, `png`, or `other` decodable format.
     """
 
     height: int
@@ -45,8 +45,8 @@ class Picture:
     encoding: str = "raw"
 
 
-def found(path: Place, dataset: Dataset) -> Picture | None:
-    """Return what images a dataset with a row for each step holds; None if they are none.
+def image_series(path: DatasetPath, dataset: HDF5Dataset) -> ImageSeries | None:
+    """Return the images of a dataset with one row per step; None if it has none.
 
     Raises:
         TrajectoryError: its name says that it holds some, and the first is none; or they are larger than is read.
@@ -56,23 +56,23 @@ def found(path: Place, dataset: Dataset) -> Picture | None:
     least = 1 if is_named else _SMALLEST
     picture = None
     if len(shape) == 4 and dataset.dtype == np.uint8 and shape[3] == 3 and min(shape[1:3]) >= least:
-        picture = Picture(shape[1], shape[2], COLOR)
+        picture = ImageSeries(shape[1], shape[2], COLOR)
     elif _is_depth(path, dataset) and min(shape[1:3]) >= least:
-        picture = Picture(shape[1], shape[2], DEPTH)
+        picture = ImageSeries(shape[1], shape[2], DEPTH)
     elif shape[:1] != (0,) and _may_be_encoded(dataset):
-        data = encoded(dataset, 0)
+        data = read_row(dataset, 0)
         encoding = next((name for begins, name in _BEGINS.items() if data.startswith(begins)), None)
         if encoding is not None or is_named:
             width, height = _size(dataset, data)
-            picture = Picture(height, width, COLOR, encoding or "other")
+            picture = ImageSeries(height, width, COLOR, encoding or "other")
     if picture is not None and picture.height * picture.width > codec.PIXELS:
         raise TrajectoryError(
-            f"{storage.where(dataset)}: images have {shape[1:3]} pixels, more than {codec.PIXELS} in all"
+            f"{storage.describe(dataset)}: images have {shape[1:3]} pixels, more than {codec.PIXELS} in all"
         )
     return picture
 
 
-def series(dataset: Dataset, steps: Iterable[int]) -> Iterator[tuple[int, bytes]]:
+def read_encoded(dataset: HDF5Dataset, steps: Iterable[int]) -> Iterator[tuple[int, bytes]]:
     """Yield steps with their encoded images, as `encoded` returns them.
 
     Raises:
@@ -80,31 +80,45 @@ def series(dataset: Dataset, steps: Iterable[int]) -> Iterator[tuple[int, bytes]
     """
     most = storage.most_read(Path(dataset.file.filename).stat().st_size)
     for step in steps:
-        data = encoded(dataset, step)
+        data = read_row(dataset, step)
         most -= len(data)
         if most < 0:
-            raise TrajectoryError(f"{storage.where(dataset)}: up to step {step} images claim more than the file holds")
+            raise TrajectoryError(
+                f"{storage.describe(dataset)}: up to step {step} images claim more than the file holds"
+            )
         yield step, data
 
 
-def decoded(dataset: Dataset, step: int) -> np.ndarray:
+def read_decoded(dataset: HDF5Dataset, step: int) -> np.ndarray:
     """Return an encoded image, (H, W, 3) uint8 RGB.
 
     Raises:
         TrajectoryError: it cannot be decoded; the text says which.
     """
-    return unpacked(dataset, step, encoded(dataset, step))
+    return decode_row(dataset, step, read_row(dataset, step))
 
 
-def unpacked(dataset: Dataset, step: int, data: bytes) -> np.ndarray:
-    """Return the pixels of an encoded image that was read; raises as `decoded`."""
+def decode_row(dataset: HDF5Dataset, step: int, data: bytes) -> np.ndarray:
+    """Decode an encoded image.
+
+    Args:
+        dataset: its dataset, for errors.
+        step: its step, for errors.
+        data: the encoded image.
+
+    Returns:
+        (H, W, 3) uint8 RGB.
+
+    Raises:
+        TrajectoryError: it cannot be decoded.
+    """
     try:
         return codec.decode(data)
     except (ObservationError, ValueError) as error:
-        raise TrajectoryError(f"{storage.where(dataset)}, step {step}: {error}") from None
+        raise TrajectoryError(f"{storage.describe(dataset)}, step {step}: {error}") from None
 
 
-def encoded(dataset: Dataset, step: int) -> bytes:
+def read_row(dataset: HDF5Dataset, step: int) -> bytes:
     """Return an encoded image as it lies in the file, padding included.
 
     Raises:
@@ -113,18 +127,18 @@ def encoded(dataset: Dataset, step: int) -> bytes:
     try:
         data = dataset[step]
     except (OSError, RuntimeError, ValueError) as error:
-        raise TrajectoryError(f"{storage.where(dataset)}, step {step} cannot be read: {error}") from None
+        raise TrajectoryError(f"{storage.describe(dataset)}, step {step} cannot be read: {error}") from None
     return data if isinstance(data, bytes) else np.asarray(data, np.uint8).tobytes()
 
 
-def _is_depth(path: Place, dataset: Dataset) -> bool:
+def _is_depth(path: DatasetPath, dataset: HDF5Dataset) -> bool:
     shape = dataset.shape
     is_flat = len(shape) == 3 or (len(shape) == 4 and shape[3] == 1)
     is_called_so = names.is_image(path, DEPTH) or DEPTH in "/".join(path).lower()
     return is_flat and is_called_so and dataset.dtype.kind in "uf"
 
 
-def _may_be_encoded(dataset: Dataset) -> bool:
+def _may_be_encoded(dataset: HDF5Dataset) -> bool:
     library = storage.hdf5()
     if not storage.is_encoded(dataset):
         return False
@@ -134,8 +148,8 @@ def _may_be_encoded(dataset: Dataset) -> bool:
     return bool(dataset.dtype.kind != "O" or is_bytes or library.check_string_dtype(dataset.dtype) is not None)
 
 
-def _size(dataset: Dataset, data: bytes) -> tuple[int, int]:
+def _size(dataset: HDF5Dataset, data: bytes) -> tuple[int, int]:
     try:
         return codec.size_of(data)
     except ObservationError as error:
-        raise TrajectoryError(f"{storage.where(dataset)}, step 0: {error}") from None
+        raise TrajectoryError(f"{storage.describe(dataset)}, step 0: {error}") from None

@@ -1,6 +1,6 @@
-"""Answers the same questions under one change of an adapter after another: a standing errand (`xpl.worker.errand`).
+"""Answers of an adapter under one change after another: a persistent subprocess task (`xpl.worker.subprocess_task`).
 
-What an audit looks for a mistake with. The model is loaded once, as `xpl.worker.inprocess.load` reads, further "block",
+The audit searches mistakes with it. The model is loaded once, as `xpl.worker.inprocess.load` reads, further "block",
 its model_io block; then each order has
 
     "calls", a list of {"reset": True}, {"show": [[env, name], ...]} and {"ask": [env, ...]}; "observations", by name,
@@ -14,54 +14,56 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from xpl.policy import Policy
-from xpl.worker import variants
+from xpl.worker import block_answers
 from xpl.worker.encoded import play
-from xpl.worker.errand import FAILURES, Order, Play, failed, result, stand
 from xpl.worker.inprocess import load
+from xpl.worker.subprocess_task import FAILURES, Answering, TaskRequest, pack_error, pack_result, serve_requests
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
 
 
-def main(asked: str, answers: str) -> NoReturn:
-    """Load an adapter as one file says, answer what is asked about it, and end with the standard input."""
-    stand(asked, answers, _loaded)
+def main(request_path: str, answers: str) -> NoReturn:
+    """Load the adapter of a request, answer further requests, and end at the end of standard input."""
+    serve_requests(request_path, answers, _loaded)
 
 
-def _loaded(order: Order) -> tuple[bytes, Play]:
+def _loaded(order: TaskRequest) -> tuple[bytes, Answering]:
     try:
         model = load(order)
     except FAILURES as error:
-        return failed(error), lambda _order: iter(())
-    return result(None), Asked(model, order["block"]).answers
+        return pack_error(error), lambda _order: iter(())
+    return pack_result(None), PerturbedModel(model, order["block"]).answers
 
 
-class Asked:
-    """A loaded model and what it was shown."""
+class PerturbedModel:
+    """A loaded model and its observations."""
 
     def __init__(self, model: Any, block: Mapping[str, Any]) -> None:
         self._model, self._block = model, block
-        self._shown: dict[str, Any] = {}
-        self._variants: variants.Variants | None = None
+        self._observations: dict[str, Any] = {}
+        self._variants: block_answers.BlockAnswers | None = None
 
-    def answers(self, order: Order) -> Iterator[bytes]:
+    def answers(self, order: TaskRequest) -> Iterator[bytes]:
         """Yield the answers to an order, packed."""
-        self._shown.update(order["observations"])
+        self._observations.update(order["observations"])
         why = self._unfit(order)
-        yield result(why)
+        yield pack_result(why)
         if why is not None:
             return
         calls = [
-            {**call, "show": [(env, self._shown[name]) for env, name in call["show"]]} if "show" in call else call
+            {**call, "show": [(env, self._observations[name]) for env, name in call["show"]]}
+            if "show" in call
+            else call
             for call in order["calls"]
         ]
         if "blocks" in order:
-            self._variants = self._variants or variants.Variants(self._model, self._block)
+            self._variants = self._variants or block_answers.BlockAnswers(self._model, self._block)
             yield from self._variants.answers(order["blocks"], calls, order["seconds"])
         else:
             yield from play.changes(self._model, order["changes"], calls, order["seconds"])
 
-    def _unfit(self, order: Order) -> str | None:
+    def _unfit(self, order: TaskRequest) -> str | None:
         if "blocks" in order:
-            return variants.unfit(self._model)
+            return block_answers.why_converts_in_code(self._model)
         return None if isinstance(self._model, Policy) else "the adapter does not derive from xpl.Policy"

@@ -1,11 +1,11 @@
-"""What stands in for a model answers: a fixed function of all that it was shown.
+"""Answers of shadow mode in place of a model: a fixed function of the model inputs.
 
-The function is chosen so that mistakes show in what it answers:
+The function makes mistakes visible in its answers:
 
-- every number and every text counts, however small the change: a hash of them moves each value a little;
-- it is smooth: averages over the parts of an array move the values a lot, so that an image that was compressed gives
-  nearly the same actions, and one with red and blue exchanged does not;
-- where the inputs hold NaN the answer does, as a model's would.
+- every number and text has an effect, however small the change: a hash of them moves each value a little;
+- it is smooth: averages over the parts of an array move the values a lot, so that a compressed image gives nearly the
+  same actions, and one with red and blue exchanged does not;
+- NaN in the inputs gives NaN, as in a model.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from typing import Any
 import numpy as np
 
 from xpl.wire.arrays import ArrayError, as_array, data_of
-from xpl.worker.lacking import ShadowError
+from xpl.worker.missing_requirements import ShadowError
 
 _PARTS = 12  # of an array that are averaged; a multiple of the channels that images have, 3 and 4
 _DEPTH = 32
 _SMOOTH, _HASH = 0.4, 1e-3  # shares of a value's range
 
 
-class Answers:
-    """A function from inputs to chunks of actions.
+class ShadowAnswers:
+    """A function from model inputs to action chunks.
 
     Args:
-        shape: steps and width of a chunk.
+        shape: (steps, width) of a chunk.
         low, high: smallest and largest value of each column, (D,) each.
     """
 
     def __init__(self, shape: tuple[int, int], low: np.ndarray, high: np.ndarray) -> None:
         self._shape, self._low, self._high = shape, low, high
-        self._known: tuple[Any, np.ndarray] = ((), np.empty(0))
+        self._cached_weights: tuple[Any, np.ndarray] = ((), np.empty(0))
 
     def of(self, inputs: object) -> np.ndarray:
         """Return the chunk for inputs, (H, D) float32.
 
         Raises:
-            ShadowError: if there is nothing in them that a model could read.
+            ShadowError: they hold nothing that a model could read.
         """
         digest, layout, features = hashlib.sha256(), [], []
         for path, leaf in _leaves(inputs, "", 0):
@@ -61,16 +61,16 @@ class Answers:
         return chunk
 
     def _weights(self, layout: tuple[Any, ...], count: int) -> np.ndarray:
-        """Return how much each feature moves each value, (count, H, D); the inputs of a model keep their layout."""
-        if self._known[0] != layout:
+        """Return the weights (count, H, D) of the features; cached, because a model's inputs keep their layout."""
+        if self._cached_weights[0] != layout:
             seed = int.from_bytes(hashlib.sha256(repr(layout).encode()).digest(), "little")
             weights = np.random.default_rng(seed).standard_normal((count, *self._shape))
-            self._known = (layout, weights)
-        return self._known[1]
+            self._cached_weights = (layout, weights)
+        return self._cached_weights[1]
 
 
 def _leaves(value: object, path: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield every array, number and text of a value with its place; numbers by value, whatever holds them."""
+    """Yield (path, array) of every array, number and text of a value."""
     if depth > _DEPTH:
         raise ShadowError(f"encode returns a value that is nested more than {_DEPTH} deep, or holds itself")
     items = _items(value)
@@ -87,7 +87,7 @@ def _leaves(value: object, path: str, depth: int) -> Iterator[tuple[str, np.ndar
 
 
 def _items(value: object) -> list[tuple[Any, Any]] | None:
-    """Return what a container holds, in an order of its own; None for what is none, and for a list of numbers."""
+    """Return the (key, item) pairs of a container in a fixed order; None for other values and lists of numbers."""
     if isinstance(value, Mapping):
         return [(repr(key), value[key]) for key in sorted(value, key=repr)]
     if isinstance(value, AbstractSet):
@@ -100,7 +100,7 @@ def _items(value: object) -> list[tuple[Any, Any]] | None:
 
 
 def _are_numbers(value: Sequence[Any]) -> bool:
-    """Tell whether a list is as good as an array."""
+    """Return whether a list can be converted to a numeric array."""
     if not value or not isinstance(value[0], (bool, int, float, list, tuple)):
         return False
     try:
@@ -111,7 +111,7 @@ def _are_numbers(value: Sequence[Any]) -> bool:
 
 def _array(value: object) -> np.ndarray:
     try:
-        # Also what offers itself as an array: images, arrays of other libraries.
+        # Also objects with the array interface: images, arrays of other libraries.
         return as_array(value if hasattr(value, "detach") and not isinstance(value, type) else np.asarray(value))
     except (ArrayError, OverflowError):
         kind = f"{type(value).__module__}.{type(value).__qualname__}"
@@ -121,7 +121,7 @@ def _array(value: object) -> np.ndarray:
 
 
 def _canonical(array: np.ndarray) -> np.ndarray:
-    """Return the array in one of few types, so that equal numbers count equally."""
+    """Return the array in one of few dtypes, so that equal numbers have equal bytes."""
     if array.dtype.kind == "f":
         array = array.astype("<f4")
     elif array.dtype.kind in "bu" and array.dtype.itemsize == 1:
@@ -136,7 +136,7 @@ def _canonical(array: np.ndarray) -> np.ndarray:
 
 
 def _averages(leaf: np.ndarray) -> list[float]:
-    """Return averages over parts of an array: every twelfth value, for channels that lie together, and twelfths."""
+    """Return averages over parts of an array: every twelfth value (for channels), and twelfths."""
     flat = leaf.reshape(-1)
     if not flat.size:
         return [0.0]

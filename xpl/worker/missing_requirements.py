@@ -1,7 +1,7 @@
-"""What a machine lacks when an adapter cannot be loaded on it, told from what is wrong with the adapter.
+"""What a machine lacks when an adapter cannot be loaded, as distinct from errors of the adapter.
 
-Only what an exception says, and where it was raised, is looked at. Where both could be, the machine is taken to lack
-something: a rule that cannot know does not blame the adapter.
+Only the exceptions are examined. In doubt the machine is taken to lack something: a rule must not blame the adapter
+without evidence.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from xpl import _spec as spec
 from xpl import checkpoint
 from xpl.checkpoint import CheckpointError
 from xpl.ecosystem import checkout
-from xpl.worker.belonging import is_third_party
+from xpl.worker.third_party import is_third_party
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from xpl.contract import Config
 
-_OPEN_LIBRARY = "cannot open shared object file"  # the dynamic linker's words
+_OPEN_LIBRARY = "cannot open shared object file"  # message of the dynamic linker
 _LONGEST = 300
 
 _WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors", ".bin", ".npz", ".npy", ".pkl", ".gguf", ".onnx", ".h5")
@@ -34,7 +34,7 @@ _NOT_FOUND = {
 }
 _UNREACHED = {"ConnectionError", "ConnectTimeout", "TimeoutError", "gaierror", "URLError"}
 # What libraries say when a model is nowhere; transformers, huggingface_hub, diffusers, h5py, torch.
-_SAID = re.compile(
+_MODEL_NOT_FOUND = re.compile(
     r"is not a local folder|is not a valid model identifier|couldn't connect to|can't load (?:the|token|config|feature)"
     r"|does not appear to have a file named|unable to (?:synchronously )?(?:open|load)|error no file named"
     r"|cannot find the requested files|repository not found|outgoing traffic has been disabled"
@@ -55,11 +55,11 @@ _OF_UPSTREAM = re.compile(
     r"source tree|upstream|submodule|\bclone|repository|\brepo\b|\w+_root\b|\broot\b|\bsource\b|third[-_ ]party",
     re.IGNORECASE,
 )
-_SAYING = (ValueError, RuntimeError, AssertionError, KeyError, ImportError, OSError, AttributeError, TypeError)
+_MESSAGE_ERRORS = (ValueError, RuntimeError, AssertionError, KeyError, ImportError, OSError, AttributeError, TypeError)
 
 
 class ShadowError(RuntimeError):
-    """The adapter asks for something that only its model has, so that shadow mode proves nothing about it.
+    """The adapter needs something that only its model has, so shadow mode proves nothing about it.
 
     Attributes:
         kind: a kind of what `lacking` returns.
@@ -68,11 +68,11 @@ class ShadowError(RuntimeError):
     kind = "shadow"
 
 
-def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str, str] | None:
-    """Return what the failure of a load says that this machine lacks, or None if the adapter itself is at fault.
+def missing_requirement(error: BaseException, policy_dir: Path, config: Config) -> dict[str, str] | None:
+    """Return what this machine lacks according to a failed load, or None if the adapter is at fault.
 
     Args:
-        error: what loading raised; what it was raised from, or while it was handled, counts, too.
+        error: exception of loading; its causes and context are examined, too.
         policy_dir: folder of the adapter.
         config: its configuration, which names the checkpoint.
 
@@ -83,36 +83,36 @@ def lacking(error: BaseException, policy_dir: Path, config: Config) -> dict[str,
         adapter is a `whole` without a shadow.
     """
     for cause in _causes(error):
-        found = _lacking(cause, policy_dir, config)
-        if found is not None:
-            return {"kind": found[0], "name": found[1]}
+        requirement = _requirement_of(cause, policy_dir, config)
+        if requirement is not None:
+            return {"kind": requirement[0], "name": requirement[1]}
     return None
 
 
-def _lacking(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
-    from xpl.errors import OpenError  # imported already where it was raised
+def _requirement_of(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
+    from xpl.errors import UnknownValueError  # imported already where it was raised
 
-    found: tuple[str, str] | None = None
+    requirement: tuple[str, str] | None = None
     if isinstance(error, ShadowError):
-        found = error.kind, str(error)
-    elif isinstance(error, OpenError):
-        found = "open", str(error)
+        requirement = error.kind, str(error)
+    elif isinstance(error, UnknownValueError):
+        requirement = "open", str(error)
     elif isinstance(error, ModuleNotFoundError):
-        found = ("module", error.name) if error.name and is_third_party(error.name, policy_dir) else None
+        requirement = ("module", error.name) if error.name and is_third_party(error.name, policy_dir) else None
     elif isinstance(error, (ImportError, OSError)) and _OPEN_LIBRARY in str(error):
-        found = "library", str(error).partition(":")[0]
+        requirement = "library", str(error).partition(":")[0]
     elif isinstance(error, CheckpointError):
-        found = "checkpoint", str(error)
+        requirement = "checkpoint", str(error)
     elif isinstance(error, FileNotFoundError):
-        found = _file(error, policy_dir, config)
+        requirement = _missing_file(error, policy_dir, config)
     elif isinstance(error, (RuntimeError, AssertionError)) and _of_a_gpu(str(error)) and not _has_gpu():
-        found = "device", "a CUDA device"
+        requirement = "device", "a CUDA device"
     else:
-        found = _said(error, policy_dir, config)
-    return found
+        requirement = _requirement_in_message(error, policy_dir, config)
+    return requirement
 
 
-def _file(error: FileNotFoundError, policy_dir: Path, config: Config) -> tuple[str, str] | None:
+def _missing_file(error: FileNotFoundError, policy_dir: Path, config: Config) -> tuple[str, str] | None:
     """Return what a file is that is not there; None if it is one that the adapter itself would have to have."""
     if not isinstance(error.filename, (str, os.PathLike)):
         text = _brief(error)
@@ -130,7 +130,7 @@ def _file(error: FileNotFoundError, policy_dir: Path, config: Config) -> tuple[s
     return None if path.parent.is_dir() else ("upstream", where)
 
 
-def _said(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
+def _requirement_in_message(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
     """Return what an exception says in words, its own or a library's."""
     names = {kind.__name__ for kind in type(error).__mro__}
     text = _brief(error)
@@ -138,13 +138,13 @@ def _said(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, 
         return "checkpoint", text
     if names & _UNREACHED:
         return "server", text
-    if isinstance(error, OSError) and _SAID.search(text):
+    if isinstance(error, OSError) and _MODEL_NOT_FOUND.search(text):
         return "checkpoint", text
     if isinstance(error, KeyError):
         key = error.args[0] if error.args else None
         is_given = isinstance(key, str) and key not in config and _is_set_by_script(key, policy_dir)
         return ("setting", str(key)) if is_given else None
-    if isinstance(error, _SAYING) and _IS_MISSING.search(text) and not _has_checkpoint(policy_dir, config):
+    if isinstance(error, _MESSAGE_ERRORS) and _IS_MISSING.search(text) and not _has_checkpoint(policy_dir, config):
         kind = _kind(text)
         return None if kind is None else (kind, text)
     return None
