@@ -71,14 +71,16 @@ def test_comments_say_the_source_beside_each_value(tmp_path: Path) -> None:
 def test_reference_py_of_a_whole_checkpoint_names_every_convention(tmp_path: Path) -> None:
     """What applies has a source; what nobody says is assumed; nothing of ours is imported."""
     begun = begin(trained.lerobot(tmp_path / "p", "diffusion", n_obs_steps=2, n_action_steps=8), gripper=(0.0, 1.0))
-    found = reference_file.parse(begun.files["reference.py"].decode())
+    conventions = reference_file.parse(begun.files["reference.py"].decode())
     manifest = yaml.safe_load(begun.files[sdk.File.POLICY_YML])
-    assert set(applicable_conventions(Manifest.parse(manifest))) <= set(found.conventions)
-    assert not found.problems
-    assert found.defines_answers
-    assert not any(item.takes_sdk or item.takes_adapter("Shirts") for item in found.imports)
-    assert {"gripper", "joint_order"} <= set(found.assumed)
-    assert not any(found.conventions[name].is_assumed for name in found.conventions if name.startswith("history_"))
+    assert set(applicable_conventions(Manifest.parse(manifest))) <= set(conventions.conventions)
+    assert not conventions.problems
+    assert conventions.defines_answers
+    assert not any(item.takes_sdk or item.takes_adapter("Shirts") for item in conventions.imports)
+    assert {"gripper", "joint_order"} <= set(conventions.assumed)
+    assert not any(
+        conventions.conventions[name].is_assumed for name in conventions.conventions if name.startswith("history_")
+    )
 
 
 def test_reference_py_converts_as_the_parts_say(tmp_path: Path) -> None:
@@ -143,16 +145,16 @@ def test_a_snapshot_of_the_hub_says_where_it_can_be_had(tmp_path: Path) -> None:
 def test_the_command_writes_links_and_counts(tmp_path: Path) -> None:
     """Facts with sources as JSON; the checkpoint is found under its name; options that say the same are refused."""
     folder = trained.lerobot(tmp_path / "run1", n_action_steps=8)
-    given = ("new-policy", "Shirts", "--from", str(folder), "--embodiment", TWO)
-    done = xpl(*given, "--gripper", "0,1", "--json", cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    told = json.loads(done.stdout)
-    assert told["open"] == []
-    chunk = next(fact for fact in told["facts"] if fact["key"] == "temporal.chunk")
+    arguments = ("new-policy", "Shirts", "--from", str(folder), "--embodiment", TWO)
+    completed = xpl(*arguments, "--gripper", "0,1", "--json", cwd=tmp_path)
+    assert completed.returncode == ExitCode.CLEAN, completed.stderr
+    answer = json.loads(completed.stdout)
+    assert answer["open"] == []
+    chunk = next(fact for fact in answer["facts"] if fact["key"] == "temporal.chunk")
     assert (chunk["value"], chunk["evidence"][0]["file"]) == (8, "config.json")
     assert (tmp_path / "policy" / "Shirts" / "checkpoints" / "run1").resolve() == folder
-    assert any("model-io record" in command for command in told["next"])
-    refused = xpl(*given, "--chunk", "4", "--cameras", "cam_head", cwd=tmp_path)
+    assert any("model-io record" in command for command in answer["next"])
+    refused = xpl(*arguments, "--chunk", "4", "--cameras", "cam_head", cwd=tmp_path)
     assert refused.returncode == ExitCode.USAGE
     assert "--chunk, --cameras do not go with --from" in refused.stderr
 

@@ -65,7 +65,7 @@ class BlockPolicy(Policy):
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
         """Answer each environment by itself."""
-        return [self.network({name: values[place] for name, values in inputs.items()}) for place in range(len(envs))]
+        return [self.network({name: values[row] for name, values in inputs.items()}) for row in range(len(envs))]
 
 
 class RecordedEpisodes:
@@ -83,8 +83,8 @@ class RecordedEpisodes:
         self.network = FixedNetwork(interface.action.encode([self._moved(near, rng) for _ in range(STEPS)], state, {}))
         self.episodes = [
             [
-                (env, observation(case.robot, 10 * number + place, instruction=TEXTS[(number + place) % len(TEXTS)]))
-                for place, env in enumerate(envs)
+                (env, observation(case.robot, 10 * number + step, instruction=TEXTS[(number + step) % len(TEXTS)]))
+                for step, env in enumerate(envs)
             ]
             for number, envs in enumerate(EPISODES)
         ]
@@ -104,19 +104,19 @@ class RecordedEpisodes:
 
     def asked(self, model: Policy) -> list[Any]:
         """Return what a policy answers to every observation of the episodes."""
-        found = []
+        actions = []
         for episode in self.episodes:
             for env, obs in episode:
                 model.update_obs({**obs, "env_idx": env})
-                found += model.get_action_batch([env])
+                actions += model.get_action_batch([env])
             model.reset()
-        return found
+        return actions
 
-    def threads(self, model_io: Sequence[Any], given: Sequence[Any]) -> list[EpisodeAnswers]:
+    def threads(self, model_io: Sequence[Any], expected: Sequence[Any]) -> list[EpisodeAnswers]:
         """Return the episodes of each environment with both answers."""
         parts: dict[tuple[int, int], list[tuple[Any, Any, Any]]] = {}
-        shown = [(number, env, obs) for number, episode in enumerate(self.episodes) for env, obs in episode]
-        for (number, env, obs), one, other in zip(shown, model_io, given, strict=True):
+        observed = [(number, env, obs) for number, episode in enumerate(self.episodes) for env, obs in episode]
+        for (number, env, obs), one, other in zip(observed, model_io, expected, strict=True):
             parts.setdefault((number, env), []).append((obs, one, other))
         return [
             EpisodeAnswers(
@@ -126,8 +126,8 @@ class RecordedEpisodes:
         ]
 
     def _moved(self, near: Mapping[str, np.ndarray], rng: np.random.Generator) -> dict[str, np.ndarray]:
-        wanted = self.case.embodiment.dims(self.case.action_type)
-        return {key: _moved(key, near[key], rng) for key in wanted}
+        keys = self.case.embodiment.dims(self.case.action_type)
+        return {key: _moved(key, near[key], rng) for key in keys}
 
 
 def _moved(key: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -1,1 +1,1 @@
-"""An adapter that is really served: servers, clients, and what they said to each other."""
+"""The served adapter: servers, recorded clients, and comparison of answers."""

@@ -1,4 +1,4 @@
-"""Observations with one thing changed, left out or damaged; inputs are named as in a manifest (`vision.cam_head`)."""
+"""Observations with one input changed or removed; inputs are named as in a manifest (`vision.cam_head`)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _POSES = (sdk.State.EE_POSE, sdk.State.TCP_POSE, sdk.State.DELTA_EE_POSE)
 _NUDGE = 0.05
-"""How far one value is moved, rad, m or of a gripper's stroke: much for a policy, little for a robot's range."""
+"""Change of one value, rad, m or share of a gripper's stroke: large for a policy, small for a robot's range."""
 
 
 def present(obs: Observation) -> tuple[str, ...]:
@@ -44,12 +44,12 @@ def state_keys(obs: Observation, leaf: str) -> list[str]:
 
 
 def red_and_blue_exchanged(obs: ObservationDict, name: str) -> ObservationDict:
-    """Return the observation with the red and blue of one camera exchanged."""
+    """Return the observation with red and blue of one camera swapped."""
     return _repainted(obs, name.partition(".")[2], lambda image: image[:, :, ::-1])
 
 
 def cameras_exchanged(obs: ObservationDict, first: str, second: str) -> ObservationDict:
-    """Return the observation with the pictures of two cameras exchanged."""
+    """Return the observation with the images of two cameras swapped."""
     names = [name.partition(".")[2] for name in (first, second)]
     pictures = [obs[sdk.Obs.VISION][name][sdk.Camera.COLOR] for name in names]
     changed = _repainted(obs, names[0], lambda _: pictures[1])
@@ -57,7 +57,7 @@ def cameras_exchanged(obs: ObservationDict, first: str, second: str) -> Observat
 
 
 def sides_exchanged(obs: ObservationDict, name: str) -> ObservationDict:
-    """Return the observation of two arms with one kind of state exchanged between them."""
+    """Return the observation of two arms with one state field swapped between the arms."""
     left, right = state_keys(obs, name.partition(".")[2])
     state = obs[sdk.Obs.STATE]
     return _moved(obs, {left: state[right], right: state[left]})

@@ -1,4 +1,4 @@
-"""The checkpoint of an adapter, as its configuration names it: which files it has, and what is not there."""
+"""The checkpoint that a configuration names: its files, and names and steps that do not exist."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _DEPTH = 2
 
 @dataclass(frozen=True)
 class ServedCheckpoint:
-    """What a configuration asks for.
+    """The checkpoint of a configuration.
 
     Attributes:
         key: the key of deploy.yml that names it.
@@ -41,7 +41,7 @@ class ServedCheckpoint:
 
     @classmethod
     def of(cls, package: Package, config: Mapping[str, object]) -> ServedCheckpoint | None:
-        """Return the checkpoint of a configuration, None if it names none that is there."""
+        """Return the checkpoint of a configuration, None if it names none that exists."""
         keys = (*sdk.CHECKPOINT_KEYS, sdk.Deploy.CKPT_NAME)
         key = next((key for key in keys if config.get(key) not in (None, "")), None)
         if key is None:
@@ -57,13 +57,13 @@ class ServedCheckpoint:
         return {file: (file.stat().st_size, file.stat().st_mtime_ns) for file in files if file.is_file()}
 
     def absent_names(self) -> list[str]:
-        """Return names like that of the checkpoint, under which there is nothing: a longer one, and a beginning."""
+        """Return names similar to that of the checkpoint that do not exist: a longer one, and a prefix."""
         beginning = re.sub(r"(\d)\d+$", r"\1", self.name)
         near = [f"{self.name}-missing", beginning if beginning != self.name else self.name[:-1]]
         return [name for name in near if name and not self._resolves(name)]
 
     def step_keys(self) -> Iterator[tuple[str, int]]:
-        """Yield the keys that choose a training step of the checkpoint, with the step that there is."""
+        """Yield the keys that select a training step of the checkpoint, with an existing step."""
         steps = self.steps()
         for key, value in self.config.items():
             if not _STEP_KEY.fullmatch(key) or not steps:
@@ -73,13 +73,13 @@ class ServedCheckpoint:
                 yield key, step
 
     def steps(self) -> set[int]:
-        """Return the training steps that names of its entries hold."""
+        """Return the training steps in the names of its files and folders."""
         depths = ["/".join("*" * depth) for depth in range(1, _DEPTH + 1)]
         names = {entry.stem for pattern in depths for entry in self.path.glob(pattern)} if self.path.is_dir() else set()
         return {int(number) for name in names for number in _NUMBER.findall(name)}
 
     def absent_steps(self, step: int) -> list[int]:
-        """Return steps that are not there and that careless code takes for this one: 0, a beginning, a longer one."""
+        """Return missing steps that careless code may take for this one: 0, a prefix, a longer one."""
         return [other for other in dict.fromkeys((0, int(str(step)[0]), 10 * step)) if other not in self.steps()]
 
     def _resolves(self, name: str) -> bool:

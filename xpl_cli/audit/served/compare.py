@@ -1,4 +1,4 @@
-"""Comparing answers of a policy, and saying in words how they differ."""
+"""Comparison of a policy's answers, with descriptions of differences."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def same(first: object, second: object) -> bool:
 
 
 def difference(first: object, second: object, *, slack: Mapping[str, float] | None = None) -> str | None:
-    """Return where two answers first differ, in words, or None if they do not. Two errors of one code are alike.
+    """Describe where two answers first differ; None if they are equal. Two errors with the same code are equal.
 
     Args:
         first: the one.
         second: the other.
-        slack: what the values of a key may differ by, beside the rounding that is always allowed.
+        slack: tolerance by key, in addition to the rounding that is always allowed.
     """
     return _difference(first, second, slack or {}, 0.0)
 
@@ -72,7 +72,7 @@ def is_answer_list(value: object, count: int | None = None) -> TypeGuard[Sequenc
 
 
 def describe_wrong_batch(answer: object, alone: dict[int, object], requested: Sequence[int]) -> str:
-    """Say for which environments a wrong batch answers, and what follows, given what each of them answers."""
+    """Describe a wrong batch answer: the environments that it answers for, and the consequence."""
     if not isinstance(answer, (list, tuple)):
         return f"gives {brief(answer)}: robots get no command"
     if len(answer) != len(requested):
@@ -85,7 +85,7 @@ def describe_wrong_batch(answer: object, alone: dict[int, object], requested: Se
 
 
 def structure_problem(chunk: object, embodiment: Embodiment, action_type: str) -> str | None:
-    """Return what is wrong with a chunk's keys, dimensions or values, or None."""
+    """Return the problem of a chunk's keys, dimensions or values, or None."""
     if isinstance(chunk, PolicyServerError):
         return str(chunk)
     try:
@@ -96,7 +96,7 @@ def structure_problem(chunk: object, embodiment: Embodiment, action_type: str) -
 
 
 def shapes(chunk: object) -> str:
-    """Return keys and shapes of a chunk's first step, in words."""
+    """Describe keys and shapes of a chunk's first step."""
     if not is_answer_list(chunk) or not isinstance(chunk[0], dict):
         return brief(chunk)
     return ", ".join(f"{key} {np.shape(value)}" for key, value in chunk[0].items())

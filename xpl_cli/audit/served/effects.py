@@ -1,4 +1,4 @@
-"""How much a change of what is shown changes an answer: in shares of how far the policy's own answers lie apart.
+"""Effect sizes: how much a change of observations changes an answer, as a share of the spread of the policy's answers.
 
 A tolerance in radians or metres says nothing about a policy that moves by a tenth of a millimetre. So effects are
 measured against each other, on the scale of the answers that one experiment brought.
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
 
 WEAK = 0.25
-"""Share of another effect below which one is weak: what is newest counts for less than a quarter of what is older."""
+"""Share of another effect below which one is weak: the newest observation counts less than a quarter of it."""
 NEGLIGIBLE = 1e-3
-"""Share of another effect below which one is none."""
+"""Share of another effect below which one is negligible."""
 
 
 class Scale:
-    """How far the answers of one experiment lie apart, for each key of the action.
+    """Spread of the answers of one experiment, for each key of the action.
 
     Args:
         given: all answers of the experiment: chunks, lists of chunks, or errors, which have no place on a scale.
@@ -57,12 +57,12 @@ class Scale:
 
 
 def is_weak(effect: float, other: float) -> bool:
-    """Tell whether an effect is weak beside another one, which there has to be."""
+    """Tell whether an effect is weak relative to another one, which must be positive."""
     return other > 0 and effect < WEAK * other
 
 
 def is_negligible(effect: float, other: float) -> bool:
-    """Tell whether an effect is none beside another one, which there has to be."""
+    """Tell whether an effect is negligible relative to another one, which must be positive."""
     return other > 0 and effect <= NEGLIGIBLE * other
 
 

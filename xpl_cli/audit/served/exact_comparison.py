@@ -1,4 +1,4 @@
-"""Where two answers differ, bit for bit: the place, both values, and how far they are apart."""
+"""Bitwise comparison of two answers: the first difference, both values, and their distance."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _NUMBERS = (int, float, complex, np.number, np.bool_)
 
 @dataclass(frozen=True)
 class Mismatch:
-    """The first place where two values differ.
+    """The first difference of two values.
 
     Attributes:
         path: keys and positions that lead there; the last ones are the element of an array.
-        first, second: the two values there, or what they are where that differs already.
+        first, second: the two values there, or their types or shapes if these differ.
         size: distance of two numbers, or None where it makes no sense.
     """
 
@@ -32,7 +32,7 @@ class Mismatch:
 
 
 def mismatch(first: object, second: object) -> Mismatch | None:
-    """Return the first place where two answers differ, or None. Bits count: nan equals nan, and 0.0 is not -0.0.
+    """Return the first bitwise difference of two answers, or None: nan equals nan, and 0.0 differs from -0.0.
 
     Args:
         first: the one answer: maps, lists, text, numbers, numpy arrays and scalars.
@@ -80,7 +80,7 @@ def _scalars(path: tuple[str | int, ...], first: object, second: object) -> Mism
 
 
 def _distance(first: object, second: object) -> float | None:
-    """Return how far two numbers are apart, or None if one of them is no number, or not finite."""
+    """Return the distance of two numbers, or None if one is not a finite number."""
     if not isinstance(first, _NUMBERS) or not isinstance(second, _NUMBERS):
         return None
     size = float(abs(complex(first) - complex(second)))

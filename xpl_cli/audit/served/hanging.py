@@ -1,4 +1,4 @@
-"""When an adapter that hangs is asked no more, and how long an audit waits at most."""
+"""Limits for adapters that hang: how often an audit tries, and how long it waits."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _MOST_S = {
 
 
 class HangCounter:
-    """Counts how often an adapter hung, each time for as long as one may wait."""
+    """Counts how often an adapter hung until a timeout."""
 
     def __init__(self) -> None:
         self._reasons: list[str] = []
 
     def note(self, reason: str | None) -> None:
-        """Note why a server ended by itself, or did not start."""
+        """Record why a server ended by itself, or did not start."""
         if reason is not None and any(words in reason for words in HUNG):
             self._reasons.append(reason)
 
@@ -44,11 +44,11 @@ class HangCounter:
 
 
 def bounded_timeouts(config: Mapping[str, object]) -> dict[str, float]:
-    """Return deadlines in place of those of a configuration that have no end, or one that is too far."""
+    """Return limits for the timeouts of a configuration that are infinite or too long."""
     return {key: most for key, most in _MOST_S.items() if key in config and not _is_bounded(config[key], most)}
 
 
 def _is_bounded(value: object, most: float) -> bool:
     if value is None:
         return False
-    return not isinstance(value, (int, float)) or 0 < value <= most  # what is no number is refused by the server
+    return not isinstance(value, (int, float)) or 0 < value <= most  # the server refuses values that are not numbers

@@ -1,6 +1,6 @@
-"""The offline fact: a real server in its own process, a real client, scripted observations.
+"""The probe fact: a real server in its own process, a real client, scripted observations.
 
-Rules describe what they do in terms of this class, so that each reads as the experiment it is:
+Rules are written in terms of this class, as experiments:
 
     with probe.session() as policy:
         policy.reset()
@@ -37,7 +37,7 @@ _UNSTEADY = "the policy acts differently each time, and nothing can be compared:
 
 
 def image_sizes(manifest: Manifest, usual: tuple[int, int]) -> dict[str, tuple[int, int]]:
-    """Return height and width of the images that a manifest asks for, of cameras for which the usual ones will not do.
+    """Return the image sizes (height, width) of the cameras for which the usual size does not satisfy a manifest.
 
     Args:
         manifest: the adapter's.
@@ -57,7 +57,7 @@ class Probe(Servers):
     """One adapter being probed.
 
     Attributes:
-        embodiment, action_type: what it is served for.
+        embodiment, action_type: configured ones.
         checkpoint: the checkpoint that the configuration names, None if there is none.
         checkpoint_before: state of its files before anything was served.
     """
@@ -73,7 +73,7 @@ class Probe(Servers):
         self.action_type: str = self.config[sdk.Deploy.ACTION_TYPE]
         reason = why_undeclared(target.manifest, self.embodiment.name, self.action_type)
         if reason is not None and {sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE} & options.overrides.keys():
-            raise NotRun(f"{reason}: --set asks for what the policy was not made for")
+            raise NotRun(f"{reason}: --set names a combination that the manifest does not declare")
         self.checkpoint = ServedCheckpoint.of(target, self.config)
         self.checkpoint_before = {} if self.checkpoint is None else self.checkpoint.state()
         self._first_answer: Answer = None
@@ -85,10 +85,10 @@ class Probe(Servers):
         return self.package.manifest.required
 
     def named_inputs(self) -> tuple[str, ...]:
-        """Return the inputs that the manifest requires, for rules that try them one by one.
+        """Return the inputs that the manifest requires, for rules that test them one by one.
 
         Raises:
-            NotApplicable: if none is declared, so that there is nothing to try.
+            NotApplicable: if none is declared.
         """
         if not self.required:
             raise NotApplicable(f"no {sdk.File.POLICY_YML} declares a required input")
@@ -120,7 +120,7 @@ class Probe(Servers):
         return [{**self.observation(env, step), **override} for env in envs]
 
     def require_deterministic(self) -> None:
-        """Stop a rule that compares answers where the manifest says that they differ anyway.
+        """Stop a rule that compares answers if the policy is declared not deterministic.
 
         Raises:
             NotApplicable: if the policy is declared not deterministic.
@@ -129,7 +129,7 @@ class Probe(Servers):
             raise NotApplicable("the manifest declares the policy not deterministic")
 
     def require_repeatable(self) -> None:
-        """Stop a rule that compares the answers of several runs where these differ anyway.
+        """Stop a rule that compares the answers of several runs if these always differ.
 
         Raises:
             NotApplicable: if the policy is declared not deterministic.
@@ -140,7 +140,7 @@ class Probe(Servers):
             raise NotRun(_UNSTEADY)
 
     def require_repeatable_afresh(self) -> None:
-        """Drop what a rule found by comparing two servers where any two of them differ.
+        """Drop findings from a comparison of two servers if any two servers differ.
 
         Raises:
             NotRun: if they do, against the declaration of the manifest; the rule `seed-repeats` reports that.
@@ -166,7 +166,7 @@ class Probe(Servers):
 
     @cached_property
     def depends_on_observations(self) -> bool:
-        """Whether answers depend on anything that the adapter is shown; also where it does not answer."""
+        """Whether answers depend on observations; true also if the adapter does not answer."""
         observations = (self.observation(), self.observation(1, 2))
         with Client(self.server().url, config=self.config | bounded_timeouts(self.config) | PATIENCE) as client:
             try:
@@ -177,13 +177,13 @@ class Probe(Servers):
 
     @cached_property
     def repeats_in_place(self) -> bool:
-        """Whether one server answers the same in its second and third episode."""
+        """Whether one server gives the same answers in two episodes."""
         with self.session() as policy:
             return same(self.episode(policy), self.episode(policy))
 
     @cached_property
     def repeats_renewed(self) -> bool:
-        """Whether a model that is built anew in one process answers the same as the first one there."""
+        """Whether a model that is built again in the same process gives the same answers."""
         try:
             first, second = (self._first_episode() for _ in range(2))
         except (ClientError, NotRun):  # some models cannot be built twice in one process
@@ -192,7 +192,7 @@ class Probe(Servers):
 
     @cached_property
     def repeats_afresh(self) -> bool:
-        """Whether two servers answer the same."""
+        """Whether two servers give the same answers."""
         with self.fresh_session() as first, self.fresh_session() as second:
             return same(self.episode(first), self.episode(second))
 
@@ -201,7 +201,7 @@ class Probe(Servers):
             return self.episode(policy)
 
     def answer(self, obs: object) -> Answer:
-        """Return the comparable answer to one observation in a new episode."""
+        """Return the repeatable answer to one observation in a new episode."""
         with self.run() as policy:
             return policy.act(obs)
 
@@ -213,7 +213,7 @@ class Probe(Servers):
             return policy.get_action_batch(envs)
 
     def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Answer]:
-        """Play a comparable episode of some environments in one batch; return the answer of every step.
+        """Run a repeatable episode of some environments in one batch; return the answer of every step.
 
         Each environment has its own instruction, or all have the one that is given.
         """
@@ -226,16 +226,16 @@ class Probe(Servers):
         return answers
 
     def batch_difference(self, first: object, second: object) -> str | None:
-        """Return where answers to equal observations, in batches of other sizes, differ by more than kernels round.
+        """Describe where answers to equal observations, in batches of other sizes, differ by more than rounding.
 
         Returns:
-            In words; None if they do not.
+            None if they do not.
         """
         return difference(first, second) and difference(first, second, slack=self.rounding)
 
     @cached_property
     def rounding(self) -> dict[str, float]:
-        """What batches of other sizes may differ by, for each key of an action; asked only where they do differ."""
+        """Tolerance by action key for batches of other sizes; measured only when batches differ."""
         instruction = self.observation()[sdk.Obs.INSTRUCTION]
         return measure_rounding(self.batch_answer, self.observations(range(4), instruction=instruction))
 
@@ -257,7 +257,7 @@ class Probe(Servers):
             yield session
 
     def episode(self, policy: RecordedClient, env: int = 0, steps: int = 3) -> list[Answer]:
-        """Play a scripted episode of one environment and return the chunk of every step."""
+        """Run a scripted episode of one environment and return the chunk of every step."""
         policy.reset()
         chunks = []
         for step in range(steps):
@@ -266,7 +266,7 @@ class Probe(Servers):
         return chunks
 
     def require_answer(self) -> None:
-        """Check once that the adapter answers at all; rules about how it answers make no sense otherwise.
+        """Check once that the adapter answers a plain observation, which other rules presuppose.
 
         Raises:
             NotRun: if it does not.
@@ -279,5 +279,5 @@ class Probe(Servers):
 
 
 def blame(message: str, **details: Any) -> Finding:
-    """Return a finding about behaviour: it lies in model.py, on no particular line."""
+    """Return a finding about behaviour: in model.py, without a line."""
     return Finding(message=message, path=sdk.File.MODEL_PY, **details)

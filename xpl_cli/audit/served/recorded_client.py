@@ -1,6 +1,6 @@
-"""A client whose conversation is recorded: what an experiment holds in its hand.
+"""A client whose answers are recorded, for experiments of rules.
 
-Everything that an audit asks and hears passes through `Recorder`, which hashes the answers for the digest.
+All requests and answers of an audit pass through `AnswerRecorder`, which hashes the answers for the digest.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from xpl.contract import Config, Observation
 
 Answer = Any
-"""What a policy answers: a chunk, a list of chunks, nothing, or a `PolicyServerError` in place of them.
+"""An answer of a policy: a chunk, a list of chunks, None, or a `PolicyServerError` in place of them.
 
-It is as the wire brings it: whoever reads values looks first whether they are there (`compare.answers`)."""
+It is not validated: check it with `compare.is_answer_list` before reading values."""
 
 
 class AnswerRecorder:
-    """Hears what an audit asks servers and what they answer.
+    """Hashes requests of an audit and the answers of servers.
 
     Args:
-        clock: stops a rule that asks on when its time is over.
+        clock: stops a rule when the time of the audit is over.
     """
 
     def __init__(self, clock: TimeLimit | None = None) -> None:
@@ -40,7 +40,7 @@ class AnswerRecorder:
         self._hash = hashlib.sha256()
 
     def request(self, name: str, ask: Callable[[], Answer]) -> Answer:
-        """Ask, and return the answer or the policy's error.
+        """Send a request, and return the answer or the policy's error.
 
         Args:
             name: the operation.
@@ -48,7 +48,7 @@ class AnswerRecorder:
 
         Raises:
             ClientError: if no answer came.
-            NotRun: if the machine has not what an answer would take, or the audit's time is over.
+            NotRun: if the machine lacks something that the answer needs, or the audit's time is over.
         """
         self._clock.check()
         try:
@@ -56,7 +56,7 @@ class AnswerRecorder:
         except PolicyServerError as error:
             answer = error
         self._hash.update(name.encode())
-        # Texts of errors may hold addresses and paths; that there was one is what counts.
+        # Texts of errors may hold addresses and paths, so only the code is hashed.
         self._add_to_hash(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
         if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.parse(answer.details.get("lacks"))):
             raise NotRun(describe_missing(lacks))
@@ -98,41 +98,41 @@ class RecordedClient:
         return self.call(sdk.Method.RESET)
 
     def update_obs(self, obs: object) -> Answer:
-        """Show one observation."""
+        """Send one observation."""
         return self.call(sdk.Method.UPDATE_OBS, obs)
 
     def update_obs_batch(self, obs_list: Sequence[object]) -> Answer:
-        """Show observations of several environments."""
+        """Send observations of several environments."""
         return self.call(sdk.Method.UPDATE_OBS_BATCH, list(obs_list))
 
     def get_action(self) -> Answer:
-        """Ask for a chunk."""
+        """Get a chunk."""
         return self.call(sdk.Method.GET_ACTION)
 
     def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Answer:
-        """Ask for the chunks of some environments."""
+        """Get the chunks of some environments."""
         return self.call(sdk.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))
 
     def infer(self, obs: Observation) -> Answer:
-        """Show an observation and ask, as one unit."""
+        """Send an observation and get a chunk in one request."""
         return self._recorder.request(sdk.Method.INFER, lambda: self._client.infer(obs))
 
     def act(self, obs: object) -> Answer:
-        """Start an episode, show one observation and return the chunk, or the first error on the way to it."""
+        """Reset, send one observation and return the chunk, or the first error."""
         reset_answer = self.reset()
         return reset_answer if isinstance(reset_answer, PolicyServerError) else self.act_at_once(obs)
 
     def act_at_once(self, obs: object) -> Answer:
-        """Show one observation and return the chunk, without a reset before."""
+        """Send one observation and return the chunk, without a reset."""
         update_answer = self.update_obs(obs)
         return update_answer if isinstance(update_answer, PolicyServerError) else self.get_action()
 
     def prepare_case(self, case: Config) -> Answer:
-        """Announce a case, its name among what is told; None where the adapter has no hook for it."""
+        """Call `prepare_case` with a case; None where the adapter has no such hook."""
         return self._recorder.request(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**case))
 
     def trial_end(self, result: Config) -> Answer:
-        """Tell how a trial went; None where the adapter has no hook for it."""
+        """Call `trial_end` with the result of a trial; None where the adapter has no such hook."""
         return self._recorder.request(sdk.Message.TRIAL_END, lambda: self._client.trial_end(result))
 
     def call(self, name: str, obs: Any = None) -> Answer:

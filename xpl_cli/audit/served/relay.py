@@ -1,4 +1,4 @@
-"""A relay between a client and a server that cuts the connection when it is told to."""
+"""A TCP relay between a client and a server that cuts the connection on request."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Final, Self
 
 _CHUNK = 1 << 16
 PAUSE_S: Final = 0.3
-"""How long nobody gets through after a cut."""
+"""Time without connections after a cut, s."""
 _REQUEST, _ANSWER = "request", "answer"
 
 
 class CuttingRelay:
-    """Passes bytes on between clients and a server, until a cut; use it as a context.
+    """Forwards bytes between clients and a server, until a cut; a context manager.
 
     Args:
         url: the server's address.
@@ -36,12 +36,12 @@ class CuttingRelay:
         self.url = f"{address.scheme}://127.0.0.1:{self._listening.getsockname()[1]}"
 
     def cut_answer(self) -> str:
-        """Lose what the server sends next, and the connection; return that in words."""
+        """Drop the next answer of the server, and the connection; return a description."""
         self._cut_direction = _ANSWER
         return "the answer was lost"
 
     def cut_request(self) -> str:
-        """Lose the connection in the middle of what the client sends next; return that in words."""
+        """Drop the connection in the middle of the client's next request; return a description."""
         self._cut_direction = _REQUEST
         return "the request broke off in the middle"
 
@@ -52,7 +52,7 @@ class CuttingRelay:
     def __exit__(self, *_: object) -> None:
         self._stopped.set()
         self._close()
-        with contextlib.suppress(OSError):  # wakes who waits for a client
+        with contextlib.suppress(OSError):  # wakes the accepting thread
             self._listening.shutdown(socket.SHUT_RDWR)
         self._accepting.join()
         self._listening.close()
@@ -74,10 +74,10 @@ class CuttingRelay:
                 pump.start()
             for pump in pumps:
                 pump.join()
-            self._stopped.wait(PAUSE_S)  # one client at a time: who comes back after a cut waits
+            self._stopped.wait(PAUSE_S)  # one client at a time: a client that reconnects after a cut waits
 
     def _pump(self, source: socket.socket, target: socket.socket, what: str) -> None:
-        """Pass bytes on in one direction."""
+        """Forward bytes in one direction."""
         with contextlib.suppress(OSError):
             while data := source.recv(_CHUNK):
                 if self._cut_direction == what:

@@ -1,7 +1,7 @@
-"""How far batched kernels round: a GPU sums a batch of three in another order than a single observation.
+"""Batch-size-dependent floating-point error: a GPU sums a batch of three in another order than a single observation.
 
-Seen on an H100: LeRobot's ACT in float32 answers 1.3e-6 apart beside two others. Half precision is some thousand times
-as coarse.
+Measured on an H100: answers of LeRobot's ACT in float32 differ by 1.3e-6 between a batch of one and of three. Half
+precision is about a thousand times as coarse.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.recorded_client import Answer
 
     Ask = Callable[[Sequence[ObservationDict], list[int]], Answer]
-    """Shows a batch of observations in a new episode, and asks for the chunks of some environments."""
+    """Sends a batch of observations in a new episode, and gets the chunks of some environments."""
 
 _COUNTS = range(1, 5)
 """Sizes of batches that rules compare."""
 _TIMES = 5.0
-"""Other observations round otherwise; this many times what was seen is allowed."""
+"""Rounding differs between observations; this multiple of the measured one is allowed."""
 OF_SPAN, _OF_SIZE = 0.02, 0.005
-"""And at most the larger of these shares: of what answers to different observations span, and of the largest number in
-them. Half precision rounds by the size of numbers; who divides by the batch is not excused."""
+"""At most the larger of these shares: of the span of answers to different observations, and of their largest number.
+Half precision rounds relative to the size of numbers; a division by the batch size exceeds both."""
 
 
 def measure_rounding(ask: Ask, scenes: Sequence[ObservationDict]) -> dict[str, float]:
-    """Return by how much answers may differ between batches of other sizes, for each key of an action.
+    """Measure batch-size-dependent floating-point error, for each key of an action.
 
-    One observation is shown to every environment of batches of several sizes. An environment has one answer in all of
-    them, and by what these differ is rounding. Who mixes environments up mixes equal ones here, and is allowed nothing
-    by that. Two environments are not compared: who samples has other answers for each. What is seen of one key holds
-    for all, as a share of the largest number: a gripper has few numbers to see it by.
+    All environments of batches of several sizes get the same observation. The answers of one environment in all batches
+    differ by rounding only. A policy that mixes up environments mixes equal ones here, so that its mistake is not taken
+    for rounding. Two environments are not compared, because a policy that samples answers each differently. The largest
+    share of any key counts for all keys: a gripper has too few numbers to measure it.
 
     Args:
         ask: returns the chunks for some environments after a batch of observations in a new episode.
@@ -64,7 +64,7 @@ def measure_rounding(ask: Ask, scenes: Sequence[ObservationDict]) -> dict[str, f
 
 
 def rounding_limit(values: np.ndarray) -> float:
-    """Return the most that answers to equal observations may differ by in batches of other sizes.
+    """Return the largest allowed difference of answers to equal observations in batches of other sizes.
 
     Args:
         values: answers of one key to different observations, the last axis its numbers: (N, ..., D).
@@ -82,7 +82,7 @@ def _span(values: np.ndarray) -> float:
 
 
 def _by_key(batches: Sequence[Answer]) -> dict[str, np.ndarray]:
-    """Return the chunks of some batches by key, (chunks, steps, dimension); nothing if their forms differ."""
+    """Return the chunks of some batches by key, (chunks, steps, dimension); empty if their forms differ."""
     if not all(map(is_answer_list, batches)):
         return {}
     chunks = [chunk for batch in batches for chunk in batch]

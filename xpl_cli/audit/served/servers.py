@@ -28,21 +28,21 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.profiles import ServedProfile
 
 PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
-"""How long an audit waits for a server that has said that it is ready."""
+"""Connection attempts of an audit to a server that reported ready."""
 LOAD_S = 600.0
 """Longest time for a model to load, s."""
 
 
 class Servers(ABC):
-    """One adapter, served: by a server that most experiments share, and by others for those that need their own.
+    """The servers of one adapter: one that most experiments share, and others where needed.
 
     Attributes:
         package: the adapter.
         options: how it is audited.
         config: its configuration.
-        recorder: hears what is said to every server.
+        recorder: hashes the answers of every server.
         presence: the files that the adapter had.
-        choice: what is served, the model or what stands in for it; settled when the server runs.
+        choice: what is served, the model or its shadow; final when the server runs.
     """
 
     def __init__(self, target: package.Package, options: AuditOptions) -> None:
@@ -87,7 +87,7 @@ class Servers(ABC):
         return self._server
 
     def start_server(self) -> RunningServer:
-        """Start the server once; the same failure is raised again to whoever asks later.
+        """Start the server once; a failure is raised again at every later call.
 
         Raises:
             ServerStartError: with the adapter's output.
@@ -160,7 +160,7 @@ class Servers(ABC):
 
     @property
     def served(self) -> ServedProfile | None:
-        """What is served, None as long as nothing is."""
+        """What is served, None before the server runs."""
         return None if self._server is None else self.choice
 
     @property
@@ -171,7 +171,7 @@ class Servers(ABC):
         return self.describe_end(self._server.last_error or "it printed no reason", self._server.log)
 
     def describe_end(self, reason: str, log: Sequence[str]) -> str:
-        """Return why a server ended, with the place where the adapter stood if it hung."""
+        """Return why a server ended, with the line at which the adapter hung, if it did."""
         location = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
         return reason if location is None else f"{reason}; it stood at {location}"
 
@@ -211,7 +211,7 @@ class Servers(ABC):
 
     @abstractmethod
     def observation(self) -> Any:
-        """Return what an adapter is shown to see whether it can answer at all."""
+        """Return an observation for a first request."""
 
     @contextlib.contextmanager
     def _serve(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
@@ -240,10 +240,10 @@ class Servers(ABC):
 
     @contextlib.contextmanager
     def _serve_tried(self) -> Iterator[RunningServer]:
-        """Serve, and see by one observation whether the machine has what an answer takes.
+        """Serve, and check with one observation whether the machine has everything that inference needs.
 
         Raises:
-            ServerStartError: if not: the adapter may have put off what loading is for.
+            ServerStartError: if not, since an adapter may import or load lazily.
         """
         with self._serve(self.options.overrides) as server:
             with (

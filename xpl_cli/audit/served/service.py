@@ -1,4 +1,4 @@
-"""The service fact: one server of an adapter from its start to its end, timed, with the processes that it had."""
+"""The service fact: one server of an adapter from start to end, with timings and processes."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ _LISTENS = "0A"  # proc_pid_net(5): TCP_LISTEN
 
 @dataclass
 class ServiceRun:
-    """What one server did.
+    """One server run.
 
     Attributes:
         chunks: the answers to one scripted episode.
         seconds: time of each, s.
-        trouble: why it could not go on, or None.
-        processes: the adapter's, while it was asked.
+        failure: why the episode ended early, or None.
+        processes: the adapter's, during the episode.
         left_group: those of them that had left its process group.
         listening: TCP addresses on which the adapter listened, with the process.
-        code: exit code after it was told to end.
+        code: exit code after termination.
         stop_seconds: how long that took, s.
-        survivors: processes of the adapter that lived on.
+        survivors: processes of the adapter that outlive the server.
         log: last lines of its output.
     """
 
@@ -57,13 +57,13 @@ class ServiceRun:
 
     @classmethod
     def of(cls, probe: Probe) -> ServiceRun:
-        """Serve an adapter with the usual seed, play an episode, and end its server.
+        """Serve an adapter with the usual seed, run an episode, and stop the server.
 
         Raises:
             NotRun: if it does not start.
         """
         with contextlib.suppress(NotRun):
-            probe.server()  # settles what is served; this server may be gone already, which is what rules ask about
+            probe.server()  # fixes the choice; this server may have ended already, which rules report
         if probe.start_problem is not None:
             raise NotRun(f"the server did not start: {probe.start_problem}")
         run = cls()
@@ -71,7 +71,7 @@ class ServiceRun:
             with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
                 goes_on = run._run_episode(probe, server.url)
                 run.processes = processes.descendants(server.pid)
-                if goes_on:  # of one that ends, processes are between two parents
+                if goes_on:  # while a server ends, its processes change parents
                     run._inspect_processes(server.pid, kept_apart=bool(probe.options.bounds.flags))
         except ServerStartError as error:
             raise NotRun(f"the server did not start: {error}") from None
@@ -93,7 +93,7 @@ class ServiceRun:
 
     @property
     def usual(self) -> float:
-        """Middle time of the later answers, s.
+        """Median time of the later answers, s.
 
         Raises:
             NotRun: if not all questions were answered.
@@ -111,7 +111,7 @@ class ServiceRun:
         return self.seconds
 
     def _run_episode(self, probe: Probe, url: str) -> bool:
-        """Play an episode, and tell whether the server goes on."""
+        """Run an episode, and tell whether the server still runs."""
         observations = [probe.observation(0, step) for step in range(_ASKED)]
         try:
             with probe.connected(url) as policy:

@@ -1,4 +1,4 @@
-"""How an audit comes to what it serves: the real model first, and what is tried where this machine lacks something."""
+"""Choice of what an audit serves: the real model first, and a shadow where this machine lacks something."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _REAL = (
     "give it its own libraries (`xpl install`, or their interpreter by --python) and, where deploy.yml names it, a "
     "checkpoint: a tiny one with random weights will do"
 )
-"""What to do for an adapter that has no shadow."""
+"""Advice for an adapter that has no shadow."""
 _HELP = {
     _MODULE: _REAL,
     _CHECKPOINT: "fetch it, or name it with --set ckpt_name=...; a tiny one with random weights will do, too",
@@ -42,11 +42,11 @@ _HELP = {
     "server": "start it first",
     "setting": "give it with --set",
 }
-"""What to do where the real thing is wanted."""
+"""Advice where the real model is required."""
 
 
 def first_choice(options: AuditOptions) -> ServedProfile:
-    """Return what is tried first."""
+    """Return the first choice."""
     if options.profile is not Profile.SHADOW:
         return ServedProfile()
     own = None if options.python or options.env else "none"
@@ -54,9 +54,9 @@ def first_choice(options: AuditOptions) -> ServedProfile:
 
 
 def next_choice(choice: ServedProfile, problem: ServerStartError, options: AuditOptions) -> ServedProfile | None:
-    """Return what is tried when this could not be served, None if that is to be reported.
+    """Return the choice after one that could not be served, None if the failure is final.
 
-    Without a wish, a shadow of the model is the next best.
+    Unless the user asks for a profile, a shadow of the model is the next choice.
     """
     if problem.lacks is None or choice.is_shadow or options.profile is not None:
         return None
@@ -69,11 +69,11 @@ def next_choice(choice: ServedProfile, problem: ServerStartError, options: Audit
 def explain_failure(
     choice: ServedProfile, problem: ServerStartError, config: Mapping[str, object], policy_dir: Path
 ) -> str:
-    """Return why an adapter could not be served, and what may help.
+    """Return why an adapter could not be served, with advice.
 
     Args:
-        choice: what was tried last.
-        problem: how that went.
+        choice: the last one.
+        problem: why it failed.
         config: the adapter's configuration, which names its checkpoint.
         policy_dir: its folder.
     """
@@ -90,7 +90,7 @@ def explain_failure(
 
 
 def _describe_missing_checkpoint(described: str, config: Mapping[str, object], policy_dir: Path) -> str:
-    """Return that there is no checkpoint, where what is known to lack does not say so."""
+    """Return that the checkpoint is missing, unless the description already says so."""
     try:
         checkpoint.resolve(config, policy_dir)
     except checkpoint.CheckpointError as error:
@@ -100,5 +100,5 @@ def _describe_missing_checkpoint(described: str, config: Mapping[str, object], p
 
 
 def describe_missing(lacks: MissingRequirement) -> str:
-    """Return what a machine lacks in words."""
+    """Return a description of what a machine lacks."""
     return _SENTENCES.get(lacks.kind, "{}").format(lacks.name)

@@ -1,4 +1,4 @@
-"""The forms in which a picture travels, and what each of them costs in exactness."""
+"""Encodings of images on the wire, and the error of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def _legacy_jpeg(image: np.ndarray) -> bytes:
-    """Return a JPEG as older writers make it: without the marker, red and blue exchanged."""
+    """Return a JPEG as older writers make it: without the marker, red and blue swapped."""
     from PIL import Image
 
     target = io.BytesIO()
@@ -28,28 +28,28 @@ def _legacy_jpeg(image: np.ndarray) -> bytes:
 
 
 LEGACY: Final = "legacy JPEG"
-"""The only encoded form that is handed to adapters which were written without the SDK."""
+"""The only encoding that adapters without the SDK get."""
 FORMS: Final[Mapping[str, Callable[[np.ndarray], bytes]]] = {
     "marked JPEG": images.encode_jpeg,
     LEGACY: _legacy_jpeg,
     "true-RGB PNG": images.encode_png,
 }
-"""Encoders of (H, W, 3) uint8 RGB images, by the name of the form."""
+"""Encoders of (H, W, 3) uint8 RGB images by name."""
 
 
 def encoded(obs: ObservationDict, form: str) -> ObservationDict:
-    """Return an observation with every picture in one of the `FORMS`."""
+    """Return an observation with every image in one of the `FORMS`."""
     encode = FORMS[form]
     return _each_picture(obs, encode)
 
 
 def decoded(obs: ObservationDict) -> ObservationDict:
-    """Return an observation with every encoded picture as the standard reads it."""
+    """Return an observation with every image decoded as the standard says."""
     return _each_picture(obs, images.decode)
 
 
 def error_of(obs: ObservationDict, other: ObservationDict) -> int:
-    """Return the largest difference between the pictures of two observations, of 255."""
+    """Return the largest difference between the images of two observations, 0 to 255."""
     pairs = ((camera, other[sdk.Obs.VISION][name]) for name, camera in obs[sdk.Obs.VISION].items())
     return max(
         int(np.abs(np.subtract(one[sdk.Camera.COLOR], two[sdk.Camera.COLOR], dtype=np.int16)).max())
@@ -58,7 +58,7 @@ def error_of(obs: ObservationDict, other: ObservationDict) -> int:
 
 
 def sees_pictures(probe: Probe) -> bool:
-    """Tell whether an adapter may look at a camera: its manifest says so, or it has none that could."""
+    """Tell whether an adapter may read a camera: its manifest declares one, or declares no inputs."""
     inputs = probe.package.manifest.inputs
     if inputs is None:
         return True
