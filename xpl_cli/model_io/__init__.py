@@ -1,1 +1,1 @@
-"""What a model itself says, beside what its adapter makes of it: golden pairs, pictures of inputs, kinematics."""
+"""The model's own inputs and outputs: golden pairs, pictures of inputs, kinematics."""

@@ -1,7 +1,7 @@
 """Citations of the authors' code: the lines that they name, looked up in the source that is here.
 
-found = lookup(Citation.parse("huggingface/lerobot@v0.4.4:src/lerobot/policies/utils.py:130 np.float32"), folders)
-found.text, found.problem       # the lines; None, or that the symbol stands elsewhere
+quotation = lookup(Citation.parse("huggingface/lerobot@v0.4.4:src/lerobot/policies/utils.py:130 np.float32"), folders)
+quotation.text, quotation.problem       # the lines; None, or that the symbol stands elsewhere
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Citation:
 
 @dataclass(frozen=True)
 class Quotation:
-    """What stands at a citation.
+    """The source text at a citation.
 
     Attributes:
         file: where it was found.
@@ -100,13 +100,13 @@ def folders(package: Path, python: str | None = None) -> tuple[Path, ...]:
 
 
 def lookup(citation: Citation, folders: Sequence[Path]) -> Quotation | None:
-    """Return what stands at a citation, None if the file is not here.
+    """Return the source text at a citation, None if the file is missing.
 
     Args:
         citation: of a file.
         folders: of `folders`.
     """
-    # What a repository calls data/env.py is not the package's own file of that name.
+    # data/env.py of a repository is not the package's own file of that name.
     file = _find_file(citation.path, folders[1:] if citation.is_foreign else folders)
     if file is None:
         return None
@@ -119,7 +119,7 @@ def lookup(citation: Citation, folders: Sequence[Path]) -> Quotation | None:
 
 
 def contradiction(quoted: Quotation, values: Sequence[DeclaredValue]) -> str | None:
-    """Return how quoted code contradicts what is declared: it says another value's word, and none of the declared one.
+    """Return how quoted code contradicts declared values: it names another value, and not the declared one.
 
     Args:
         quoted: the code.

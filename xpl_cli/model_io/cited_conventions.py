@@ -1,4 +1,4 @@
-"""Each convention beside the block's values and the lines of the authors' code that reference.py cites for it."""
+"""Conventions with their values in the block and the lines of the authors' code that reference.py cites for them."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class SourceLine:
 
 @dataclass(frozen=True)
 class CitedConvention:
-    """A convention with what its source says.
+    """A convention with the lines of its source.
 
     Attributes:
         convention: of the vocabulary.
         values: that the block gives it, of those that code names by one word.
         source: as reference.py has it; "" for a convention that applies and is not named.
-        is_assumed: whether nobody was found to say it.
+        is_assumed: whether it has no source.
         declared: all that the block says of it.
         file: where the cited lines were found; None if they were not.
         lines: these lines, and those around them.
@@ -65,7 +65,7 @@ class CitedConvention:
 
     @property
     def meaning(self) -> str:
-        """What the convention is about."""
+        """The meaning of the convention."""
         return reference_file.vocabulary()[self.convention]
 
     @property

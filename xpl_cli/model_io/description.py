@@ -1,4 +1,4 @@
-"""A convention as people read it: what it is, its values, what libraries call them, and its usual mistakes."""
+"""Description of a convention: its meaning, its values with their names in libraries, and usual mistakes."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ConventionDescription:
         known_as: what libraries call it, "library: name" each; "" where none has a name for it.
         keys: the keys of the block that say it, by where they stand.
         values: by key, its values, where there is a list of them.
-        mistakes: the usual ones, the likeliest first, by what the model means where the adapter does otherwise.
+        mistakes: the usual ones, the likeliest first, each by the value that the model expects.
     """
 
     name: str
@@ -51,7 +51,7 @@ class ConventionDescription:
 
 
 def describe(one: Convention) -> ConventionDescription:
-    """Return what is to be read about a convention."""
+    """Return the description of a convention."""
     definitions = spec.schema("model_io")["$defs"]
     word = next(word for word in vocabulary_values(definitions["convention"], definitions) if word.name == one.name)
     return ConventionDescription(one.name, word.meaning, word.known_as, one.keys, dict(_values(one)), _mistakes(one))

@@ -1,4 +1,4 @@
-"""How far answers are from the golden ones: by number of each key, as a share of the spread of the golden answers."""
+"""Differences of answers from the golden ones: for each number of the action, as a share of the golden spread."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ Differences = Mapping[str, float]
 
 @dataclass(frozen=True)
 class EpisodeAnswers:
-    """One episode of one environment.
+    """The answers of one episode of one environment.
 
     Attributes:
-        observations: that were shown, oldest first.
-        asked: places in them of the questions, in their order.
-        golden: the golden answers to these.
-        given: the adapter's.
+        observations: oldest first.
+        asked_at: indices of the observations after which an action was requested.
+        golden: the golden answers.
+        adapter: those of the adapter.
     """
 
     observations: Sequence[Any]
@@ -61,7 +61,7 @@ def spreads(golden: Answers) -> dict[str, float]:
 
 
 def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, float]) -> dict[str, float]:
-    """Return how far answers are from the golden ones.
+    """Return the differences of answers from the golden ones.
 
     Quaternions of either sign are the same rotation. Steps that are not known, and numbers that are NaN, are left out,
     unless most are. A key that is missing, a chunk of another length, or a number that is infinite is infinitely far.

@@ -1,7 +1,7 @@
-"""Which change, or which two, explain that answers differ from the golden ones.
+"""Explanation of a difference from golden answers by one change, or by two.
 
-found = explain(before, tried, tolerance)
-found.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-07"
+explanation = explain(before, tried, tolerance)
+explanation.text        # "with `channels: bgr` the difference falls from 0.31 to 1e-07"
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ if TYPE_CHECKING:
     from xpl_cli.model_io.patterns import Pattern
 
 _FACTOR = 100.0
-"""A change by which the difference falls by this much is consistent with it, if the rest is above the tolerance."""
+"""A change that lowers the difference by this factor is consistent with it, even if the rest exceeds the tolerance."""
 _LIKE = 10.0
-"""Changes whose rests differ by less than this factor are the same by effect."""
+"""Changes whose remaining differences differ by less than this factor have the same effect."""
 _CLEAR = 4.0
-"""A change that explains nothing wholly is told if the difference falls by this much, ..."""
+"""A change without a full explanation is reported if the difference falls by this factor, ..."""
 _AHEAD = 2.0
-"""... and the next one leaves this much more."""
+"""... and the next change leaves this many times more."""
 _LARGE = 5.0
-"""What a change mends has to hold no less than this part of the largest difference."""
+"""The fixed numbers must include at least this fraction (1/5) of the largest difference."""
 _MENDED = 1.05
-"""Numbers that a change does not mend may become worse by this factor."""
+"""Numbers that a change does not fix may become worse by this factor."""
 
 
 @dataclass(frozen=True)
 class TriedChange:
-    """A change and what remains with it.
+    """A change and the difference that remains with it.
 
     Attributes:
         words: of the change.
         convention: of the vocabulary.
         remaining: the differences.
-        besides: words and convention of another change that is made as well; None for a single one.
+        second: words and convention of a second change; None for a single one.
     """
 
     words: str
@@ -54,9 +54,9 @@ class Cause:
         convention: of the vocabulary.
         before: largest difference, as a share of the golden spread, of the parts.
         after: the same with the change.
-        parts: the numbers of an action that it mends.
+        parts: the numbers of an action that it fixes.
         left: those that stay above the tolerance.
-        besides: words and convention of another change that is made as well; None for a single one.
+        second: words and convention of a second change; None for a single one.
     """
 
     words: str
@@ -69,17 +69,17 @@ class Cause:
 
     @property
     def label(self) -> str:
-        """Its words, and those of the change besides."""
+        """Its words, and those of the second change."""
         return f"`{self.words}`" + (f" and `{self.second[0]}`" if self.second else "")
 
     @property
     def conventions(self) -> tuple[str, ...]:
-        """What it is about."""
+        """Its conventions."""
         return (self.convention, *((self.second[1],) if self.second else ()))
 
     @property
     def text(self) -> str:
-        """What happens with the change."""
+        """The effect of the change, as a sentence."""
         if self.left:
             fall = f"the difference falls from {self.before:.2g} to {self.after:.1g}"
             return f"consistent with {self.label}: {fall}, still above the tolerance in {format_parts(self.left)}"
@@ -88,7 +88,7 @@ class Cause:
 
 @dataclass(frozen=True)
 class Explanation:
-    """What was found.
+    """The result of a search.
 
     Attributes:
         before: the largest difference.
@@ -97,8 +97,8 @@ class Explanation:
         near: where there is none: one that leaves a hundredth of the difference or less.
         ties: other changes that do so as well.
         partial: where no change explains all: changes that each explain some parts, no part twice.
-        lowers: where there is none of these: a change that clearly lowers the difference more than any other.
-        patterns: what the differences themselves tell.
+        reducing: where there is none of these: a change that clearly lowers the difference more than any other.
+        patterns: of the differences themselves.
     """
 
     before: float
@@ -124,7 +124,7 @@ class Explanation:
 
     @property
     def best(self) -> Cause | Pattern | None:
-        """What names a convention: the cause, or what comes nearest to one."""
+        """The cause, or the pattern or change that comes nearest to one."""
         candidates = (self.cause, self.near, *self.partial, *self.patterns, self.reducing)
         return next((one for one in candidates if one is not None), None)
 

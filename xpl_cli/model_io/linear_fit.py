@@ -1,4 +1,4 @@
-"""Commands that are a straight line of what they should be: a scale or an offset that no list of changes has."""
+"""Linear fit of actions to the golden ones: finds a scale or an offset that no listed mistake has."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _RIGHT_ANGLE = np.pi / 2
 
 @dataclass(frozen=True)
 class _LinearFit:
-    """How the golden numbers follow from the adapter's.
+    """A line from the adapter's numbers to the golden ones.
 
     Attributes:
         rest: what remains, as a share of the span.

@@ -1,4 +1,4 @@
-"""Usual mistakes as other words of a model_io block: those that fit the robot, each with the block that it makes.
+"""Usual mistakes as other values of a model_io block: those that fit the robot, each with the edited block.
 
 for mistake, block in in_block(AdapterCase(embodiment, "joint", block=manifest["model_io"], folders=[package])):
     mistake.description, mistake.convention, block      # "channels: bgr", "image_channels", {...}
@@ -42,7 +42,7 @@ def in_block(case: AdapterCase, chunk: int | None = None) -> Iterator[tuple[Mist
 def fitting_blocks(
     case: AdapterCase, mistakes: Iterable[Mistake], chunk: int | None = None
 ) -> Iterator[tuple[int, dict[str, Any]]]:
-    """Yield the places of those of some mistakes that fit, each block once, and none that is as the block is.
+    """Yield the indices of the mistakes that fit, with their blocks; each block once, without the block itself.
 
     Raises:
         ConversionError: if the block itself does not fit.

@@ -1,4 +1,4 @@
-"""Numbers that are told in the place of others: what differences tell of orders, of two told alike, of switches."""
+"""Patterns of order: numbers that appear at the index of others, twice, or thresholded."""
 
 from __future__ import annotations
 

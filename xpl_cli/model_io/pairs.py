@@ -1,7 +1,7 @@
-"""golden_pairs.json: what a model answers through its authors' own code, written, read, and walked through.
+"""golden_pairs.json: the actions of the reference, written and read.
 
-The file is spec/v1/pairs.schema.json. It holds recipes of observations (`script`) and answers, no code and no
-pictures; equal recordings are equal bytes.
+The format is spec/v1/pairs.schema.json. The file holds recipes of observations (`script`) and answers, no code and no
+images; equal recordings are equal bytes.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Chunk = list[dict[str, np.ndarray]]
 
 
 class PairsError(UserError):
-    """The file cannot be read, or is not what the standard says; exit code 4."""
+    """The file cannot be read, or does not fit its schema; exit code 4."""
 
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message, hint=hint, code=ExitCode.NOT_RUN)
@@ -53,15 +53,15 @@ class PairsError(UserError):
 
 @dataclass(frozen=True)
 class PairQuestion:
-    """One question of a session: what was shown up to it, and what was answered.
+    """One question of a session: the observations up to it, and the golden answer.
 
     Attributes:
         number: of the question in its session, from 0.
         call: number of the call that asks.
         env: the environment.
         episode: number of its episode, from 0.
-        shown: recipes of the observations of its episode so far; the newest is last.
-        asked: places in `shown` that were asked about; the newest is last.
+        recipes: of the observations of its episode so far; the newest is last.
+        asked_at: indices in `recipes` after which an action was requested; the newest is last.
         answer: the golden one.
     """
 
@@ -75,20 +75,20 @@ class PairQuestion:
 
     @property
     def where(self) -> str:
-        """The question in words."""
+        """Environment, episode and observation of the question, for people."""
         return f"environment {self.env}, episode {self.episode}, observation {len(self.recipes) - 1}"
 
 
 @dataclass(frozen=True)
 class PairSession:
-    """One process from its start to its end.
+    """Recorded calls of one process of the reference.
 
     Attributes:
-        embodiment, action_type, seed: what it was started for.
+        embodiment, action_type, seed: its configuration.
         cameras: height and width of each camera's images.
         takes: how many times each question was answered.
-        calls: what was done.
-        answers: for each call that asks one for each environment.
+        calls: in order.
+        answers: for each call that asks, one for each environment.
     """
 
     embodiment: str
@@ -133,7 +133,7 @@ class PairSession:
                 number += 1
 
     def state(self, question: PairQuestion) -> dict[str, np.ndarray]:
-        """Return the newest state that was shown before a question."""
+        """Return the state of the newest observation before a question."""
         return self.scene.state(*question.recipes[-1])
 
     def chunk(self, question: PairQuestion, take: int = 0) -> Chunk:
@@ -147,7 +147,7 @@ class GoldenPairs:
     """A recording.
 
     Attributes:
-        provenance: what answered, as the schema says.
+        provenance: code, weights and settings that answered, as the schema says.
         sessions: one for each robot and action type.
         script: version of the script.
     """

@@ -1,4 +1,4 @@
-"""What differences themselves tell, where no single change explains them: which answers are wrong, and which right."""
+"""Patterns of differences that no single change explains: which answers are wrong, and which are right."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ _SIGMAS = 4.0
 
 @dataclass(frozen=True)
 class Pattern:
-    """One thing that is seen.
+    """One pattern.
 
     Attributes:
-        words: what is seen, and what it suggests.
+        words: the observation, and what it suggests.
         convention: of the vocabulary, that it suggests.
         others: conventions that it suggests as well.
     """
@@ -45,7 +45,7 @@ class Pattern:
 
 @dataclass(frozen=True)
 class PolicyKind:
-    """What is known of a policy.
+    """The kind of policy.
 
     Attributes:
         keeps_state: whether it is recurrent.
@@ -61,7 +61,7 @@ class PolicyKind:
 def patterns(
     episodes: Sequence[EpisodeAnswers], spread: Differences, tolerance: float, kind: PolicyKind
 ) -> Iterator[Pattern]:
-    """Yield what is seen, the most telling first.
+    """Yield patterns, the most informative first.
 
     Args:
         episodes: all episodes, in their order; something differs.

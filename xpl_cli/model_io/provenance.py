@@ -1,4 +1,4 @@
-"""What answered: digests of code and weights, and the commit, as pairs tell them and audits look at them again."""
+"""Provenance of golden pairs: digests of code and weights, and the commit; audits compare them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Records what a package's reference.py answers to the scripted episodes, in the policy's interpreter."""
+"""Records the actions of a package's reference.py in scripted episodes, in the policy's interpreter."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class RecordOptions:
         overrides: keys of deploy.yml.
         python, env: interpreter, as for `xpl serve`.
         patience: how long it may be silent, s.
-        progress: told what is done.
+        progress: receives progress messages.
         is_dry: write nothing.
     """
 
@@ -58,7 +58,7 @@ class RecordOptions:
 
 @dataclass(frozen=True)
 class RecordResult:
-    """What was written.
+    """The result of a recording.
 
     Attributes:
         pairs: the recording.
@@ -86,7 +86,7 @@ def record(package: Package, options: RecordOptions) -> RecordResult:
     """
     if not (package.path / names.CODE).is_file():
         raise UserError(
-            f"{package.path} has no {names.CODE}: it answers as the authors' own code does, and nobody can write it "
+            f"{package.path} has no {names.CODE}: it calls the authors' own code, and cannot be derived "
             "from the adapter",
             hint=f"`{command(('xpl', 'model-io', 'reference', str(package.path)))}` writes one to fill in",
             code=ExitCode.NOT_FOUND,

@@ -1,4 +1,4 @@
-"""What a new recording of golden pairs changes in the one that is there."""
+"""Differences between a new recording of golden pairs and the existing one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SAME = 1e-6
 
 
 def describe_changes(before: GoldenPairs, after: GoldenPairs) -> Iterator[str]:
-    """Yield what differs, a sentence for each robot and action type; nothing if all answers are the same."""
+    """Yield a sentence for each robot and action type that differs; nothing if all answers are equal."""
     earlier = {(one.embodiment, one.action_type): one for one in before.sessions}
     for session in after.sessions:
         name = f"{session.embodiment} {session.action_type}"

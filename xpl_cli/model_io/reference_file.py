@@ -1,4 +1,4 @@
-"""Reads reference.py without running it: which conventions it names the source of, and what it imports.
+"""Reads reference.py without running it: the sources that it cites for conventions, and its imports.
 
 reading = read(text)
 reading.conventions["gripper"].is_assumed
@@ -56,7 +56,7 @@ class ConventionSource:
 
     @property
     def is_assumed(self) -> bool:
-        """Whether nobody was found to say it."""
+        """Whether it has no source."""
         return self.text.strip().lower().partition(":")[0].strip() == names.ASSUMED or not self.text.strip()
 
 
@@ -101,7 +101,7 @@ class Import:
 
 @dataclass(frozen=True)
 class ReferenceFile:
-    """What reference.py says of itself.
+    """The declarations of a reference.py.
 
     Attributes:
         conventions: by name, those of `CONVENTIONS` whose source is a text.
@@ -128,7 +128,7 @@ class ReferenceFile:
 
     @property
     def empty(self) -> tuple[str, ...]:
-        """Names of those of the assumed ones whose source nobody has filled in."""
+        """Names of the assumed conventions whose source is empty."""
         return tuple(name for name in self.assumed if not self.conventions[name].text.strip())
 
     @property
@@ -224,7 +224,7 @@ def _parse_conventions(
     if not isinstance(expression, ast.Dict):
         return (
             {},
-            ((f"{names.CONVENTIONS} is no literal map, so that nobody can read it", SourceRange.of(expression)),),
+            ((f"{names.CONVENTIONS} is no literal map", SourceRange.of(expression)),),
             (),
         )
     sources: dict[str, ConventionSource] = {}

@@ -1,4 +1,4 @@
-"""Commanded poses that are a constant away from the golden ones: another frame or point, or changes put otherwise."""
+"""Rigid fit of commanded poses to the golden ones: another frame or point, or deltas in another frame."""
 
 from __future__ import annotations
 

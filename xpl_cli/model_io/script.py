@@ -1,12 +1,12 @@
-"""Scripted episodes in which every conversion shows: what reference.py and the adapter are both asked about.
+"""Scripted episodes in which every mistake of a conversion shows; reference.py and the adapter both answer them.
 
-An observation has a recipe, two numbers: the environment, and its place (`100 * episode + control step`). Pictures have
+An observation has a recipe, two numbers: the environment, and an index (`100 * episode + control step`). Images have
 fine detail and no symmetry; joints, some near their limits, and poses agree by the robot's kinematics where the
 standard knows them; quaternions come with both signs, some near a half-turn; every gripper has an opening of its own;
 instructions have capitals, outer spaces, a line break, an underscore and full stops, as policies strip or replace them.
 
-Calls show and ask as environments do: one environment and several in batches that change, a step that nobody asks
-about, a history that builds up, resets.
+Calls observe and act as environments do: one environment, several in changing batches, an observation without a request
+for actions, a history that builds up, resets.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def full_script(span: int) -> tuple[Call, ...]:
     stage.reset()
     stage.show(one)
     stage.ask(one)
-    stage.show(one)  # nobody asks
+    stage.show(one)  # without a request for actions
     stage.show(one, two)
     stage.ask(two, one)
     stage.show(two, one, three)

@@ -1,4 +1,4 @@
-"""What a model_io block says of each convention, where it says it, and whether that is known, assumed or unknown.
+"""The values that a model_io block gives each convention, where, and whether they are known, assumed or unknown.
 
 statements(manifest)["gripper"]      # (Statement("state[0].parts[1].gripper", "closed: 0, open: 0.04", KNOWN),)
 """
@@ -21,7 +21,7 @@ Path = tuple[str | int, ...]
 
 
 class Certainty(StrEnum):
-    """How well something is known; the later one counts where several apply."""
+    """How certain a value is; the last one counts where several apply."""
 
     KNOWN = "known"
     ASSUMED = "assumed"

@@ -1,4 +1,4 @@
-"""Pictures in which every mistake shows: fine detail, no symmetry, unlike channels, edges that are not the middle.
+"""Test images in which every mistake shows: fine detail, no symmetry, unlike channels, distinct edges.
 
 Integers only, so that every machine makes the same bytes.
 """

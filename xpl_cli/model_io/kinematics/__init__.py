@@ -1,1 +1,1 @@
-"""Kinematics as a witness: joints and poses that were recorded together tell how either is written."""
+"""Kinematic consistency: joints and poses that were recorded together determine their conventions."""

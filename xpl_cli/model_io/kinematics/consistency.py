@@ -1,4 +1,4 @@
-"""What an arm's forward kinematics says of the way in which joints and poses are read.
+"""Consistency of joints and poses under an arm's forward kinematics, for every way to read them.
 
 Each reading of a pose has an error: the root mean square, over the rows, of its distance (mm) or angle (degrees) to
 where the joints put the flange. What is declared is beaten if another reading has a third of its error or less.

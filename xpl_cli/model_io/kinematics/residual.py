@@ -1,4 +1,4 @@
-"""What a fixed turn or shift explains where no word does: another frame, or another tool than the standard's."""
+"""Fixed rotation or translation that explains what no convention does: another frame or tool than the standard's."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How numbers and shapes are written on the page and in the picture."""
+"""Formatting of numbers and shapes on the page and in the picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""In words, how a picture that a model gets differs from the camera's: turned, mirrored, red and blue exchanged."""
+"""Detection of how an image that a model gets differs from the camera's: rotated, mirrored, red and blue swapped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of what is shown."""
+"""Writes the page and the picture."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write(report: ShowReport, folder: Path) -> list[str]:
 
 
 def list_notes(report: ShowReport) -> Iterator[str]:
-    """Yield what people should look at."""
+    """Yield the notes that deserve attention."""
     yield from report.notes
     for view in report.views:
         for note in view.notes:

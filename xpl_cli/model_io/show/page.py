@@ -1,4 +1,4 @@
-"""The page: one file that reaches nothing, with every picture inside."""
+"""The report as one self-contained HTML file."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _WIDEST: Final = 640
 
 
 def page(report: ShowReport) -> str:
-    """Return everything that is shown as HTML."""
+    """Return the report as HTML."""
     return pages.render(
         "model_io/show.html.jinja",
         style="model_io/show.css",

@@ -1,4 +1,4 @@
-"""What an adapter's `predict` gets and says: asked in its own interpreter, told as it is."""
+"""The inputs and the output of an adapter's `predict`, recorded in its own interpreter."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class PredictCall:
-    """What was seen.
+    """One call of `predict`.
 
     Attributes:
         inputs: what `predict` got.

@@ -1,4 +1,4 @@
-"""What a model gets and says of a scene, worked out from the block `model_io`, or watched while the adapter runs."""
+"""The inputs and actions of a model for a scene, computed from the model_io block or recorded from `predict`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class StateVector:
 
 @dataclass(frozen=True)
 class ShowReport:
-    """Everything that is shown.
+    """Everything on the page.
 
     Attributes:
         policy, robot, action_type: what is looked at.

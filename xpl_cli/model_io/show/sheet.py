@@ -1,4 +1,4 @@
-"""Everything in one picture, for chats and reviews."""
+"""The whole report as one PNG, for chats and reviews."""
 
 from __future__ import annotations
 

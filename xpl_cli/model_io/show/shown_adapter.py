@@ -1,4 +1,4 @@
-"""An adapter that is looked at: its block, compiled, and its robot."""
+"""The adapter to show: its compiled model_io block and its robot."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ShownAdapter:
-    """An adapter that is looked at.
+    """The adapter to show.
 
     Attributes:
         package: the adapter.
