@@ -471,6 +471,6 @@ def test_a_checkout_that_one_stands_in_does_not_bring_the_judge(
         (folder / "env.yml").write_bytes((ours / "env.yml").read_bytes())
     monkeypatch.chdir(tmp_path)
     assert environments.find("mujoco") == ours
-    assert "is meant by its path" in capsys.readouterr().err
+    assert "for the one in" in capsys.readouterr().err
     assert environments.find("./envs/mujoco") == tmp_path / "envs" / "mujoco"
     assert environments.find("envs/mujoco") == tmp_path / "envs" / "mujoco"

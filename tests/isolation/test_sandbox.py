@@ -273,7 +273,7 @@ def test_an_audit_asks_for_isolation_before_it_begins(
     result = CliRunner().invoke(app, asked)
     assert isinstance(result.exception, UserError)
     assert result.exception.code == ExitCode.NOT_RUN
-    assert "bubblewrap cannot arrange it" in str(result.exception)
+    assert "bubblewrap cannot provide it" in str(result.exception)
     assert not result.stdout
 
 

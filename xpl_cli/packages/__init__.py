@@ -1,1 +1,1 @@
-"""Policy and environment packages on disk: their manifests, and which of them a request means."""
+"""Policy and environment packages: their manifests, configurations and lookup by name."""

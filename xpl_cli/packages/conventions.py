@@ -1,4 +1,4 @@
-"""Which conventions an adapter and its model have to share: those that reference.py names the sources of."""
+"""Conventions that apply to an adapter and its model, whose sources reference.py cites."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 _IMAGES = ("camera", "image_channels", "image_orientation", "image_range", "image_size")
 HISTORY = ("history_length", "history_order", "history_padding", "history_stride")
-"""What there is to agree on of a history."""
+"""Conventions of an observation history."""
 _OF_PARTS: Mapping[str, tuple[str, ...]] = {
     "joints": ("joint_order", "angle_unit"),
     "hand": ("joint_order", "angle_unit"),
@@ -23,7 +23,7 @@ _OF_PARTS: Mapping[str, tuple[str, ...]] = {
 }
 _JOINT = sdk.ACTION_TYPES[0]
 _TEXT = sdk.Obs.INSTRUCTION
-"""The standard's name for it, which the block and the convention share."""
+"""Name of the instruction in the standard, in the block and as a convention."""
 
 
 _DECLARING_KEYS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
@@ -32,15 +32,15 @@ _DECLARING_KEYS: Mapping[str, tuple[tuple[str, str, str], ...]] = {
     "hand": (("unit", "angle_unit", "angle_unit"),),
     "rotation": (("form", "rotation", "form"),),
 }
-"""By kind of entry: a key of it, the convention that it is of, and its definition in the schema."""
+"""By kind of entry: a key, its convention, and its definition in the schema."""
 
 
 @dataclass(frozen=True)
 class DeclaredValue:
-    """A value of the block.
+    """A value that a model_io block declares.
 
     Attributes:
-        definition: of the schema, that has all values.
+        definition: definition in the schema with all values.
         word: the value.
     """
 
@@ -49,24 +49,24 @@ class DeclaredValue:
 
 
 def declared_values(model_io: ModelIO) -> dict[str, list[DeclaredValue]]:
-    """Return by convention the values that a block gives it, of those that code names by one word."""
+    """Return the declared values of a block by convention, where a value is one name."""
     entries = [("images", image) for image in model_io.images]
     for vector in (*model_io.state, model_io.action):
         entries += [(kind, how) for part in _list(vector.get("parts")) for kind, how in part.items()]
-    found: dict[str, list[DeclaredValue]] = {}
+    values: dict[str, list[DeclaredValue]] = {}
     for kind, entry in entries:
         for key, convention, definition in _DECLARING_KEYS.get(kind, ()):
-            word = entry.get(key, "rad" if key == "unit" else None)
-            if isinstance(word, str):
-                found.setdefault(convention, []).append(DeclaredValue(definition, word))
-    return found
+            value = entry.get(key, "rad" if key == "unit" else None)
+            if isinstance(value, str):
+                values.setdefault(convention, []).append(DeclaredValue(definition, value))
+    return values
 
 
 def applicable_conventions(manifest: Manifest) -> list[str]:
-    """Return the conventions that apply to a policy, sorted.
+    """Return the names of the conventions that apply to a policy, sorted.
 
     Args:
-        manifest: policy.yml. Its model_io block says what there is to agree on; without one, its inputs and actions do.
+        manifest: policy.yml; its model_io block determines the conventions, without one its inputs and actions do.
     """
     if manifest.model_io is None:
         return sorted({"action_reference", "chunk", *_of_manifest(manifest)})

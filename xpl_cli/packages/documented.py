@@ -1,7 +1,7 @@
-"""What an adapter's documents say a run gets: the arguments of the call of eval.sh that they show.
+"""Arguments of a run from an adapter's documents: those of the eval.sh call that they show.
 
-Adapters of the field leave the keys of deploy.yml null that their scripts fill in. Who runs such an adapter without its
-scripts, as an audit does, has to know what the scripts would have said.
+Existing adapters leave keys of deploy.yml null that their scripts fill in. Running such an adapter without its scripts,
+as an audit does, needs the values that the scripts would set.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-# The call that says most comes first.
+# The call with the most arguments comes first.
 _SCRIPTS: Final = (
     sdk.File.EVAL_SH,
     sdk.File.SETUP_EVAL_POLICY_SERVER_SH,
@@ -36,32 +36,32 @@ _OF_THE_SERVER: Final = frozenset((sdk.Deploy.HOST, sdk.Deploy.PORT, sdk.Deploy.
 
 
 def documented_arguments(folder: Path) -> dict[str, Any]:
-    """Return keys of deploy.yml with the values that the first documented call of a script gives them.
+    """Return the keys of deploy.yml that the first documented call of a script sets.
 
-    Only a call counts that names a robot of the standard in its place; calls of eval.sh come before others. With it
-    come the keys that the script which starts the server sets by itself. Empty if there is no such call.
+    A call counts only if it has a robot of the standard in the right position; calls of eval.sh are preferred. The
+    result includes keys that the server's start script sets by itself. Empty if there is no such call.
     """
     text = "\n".join(_read(folder / name) for name in _DOCUMENTS).replace("\\\n", " ")
-    calls = [(found["script"], found["words"].split()) for found in _CALL.finditer(text)]
+    calls = [(match["script"], match["words"].split()) for match in _CALL.finditer(text)]
     for script in _SCRIPTS:
         for called, words in calls:
-            given = dict(zip(_arguments(script), words, strict=False))
-            if called == script and given.get(sdk.Deploy.ENV_CFG_TYPE) in robots.names():
-                told = {key: word for key, word in given.items() if re.fullmatch(r"[\w./-]+", word)}
-                return {key: _value(word) for key, word in {**_by_script(folder, told), **told}.items()}
+            arguments = dict(zip(_arguments(script), words, strict=False))
+            if called == script and arguments.get(sdk.Deploy.ENV_CFG_TYPE) in robots.names():
+                values = {key: word for key, word in arguments.items() if re.fullmatch(r"[\w./-]+", word)}
+                return {key: _value(word) for key, word in {**_by_script(folder, values), **values}.items()}
     return {}
 
 
 def _arguments(script: str) -> tuple[str, ...]:
-    """Return the keys of deploy.yml that a script takes first, in its order."""
+    """Return the leading arguments of a script that are keys of deploy.yml."""
     return tuple(takewhile(_OF_A_RUN.__contains__, spec.data("package")["scripts"][script]))
 
 
-def _by_script(folder: Path, told: Mapping[str, str]) -> dict[str, str]:
-    """Return what the server's script makes of what it is called with; not where the server runs, nor who it is."""
-    arguments = [told.get(name, "") for name in _arguments(sdk.File.SETUP_EVAL_POLICY_SERVER_SH)]
-    found = scripts.settings(folder, [*arguments, "0"])
-    return {key: value for key, value in found.items() if key not in _OF_THE_SERVER}
+def _by_script(folder: Path, values: Mapping[str, str]) -> dict[str, str]:
+    """Return the settings that the server's script derives from its arguments, but for its address and name."""
+    arguments = [values.get(name, "") for name in _arguments(sdk.File.SETUP_EVAL_POLICY_SERVER_SH)]
+    settings = scripts.settings(folder, [*arguments, "0"])
+    return {key: value for key, value in settings.items() if key not in _OF_THE_SERVER}
 
 
 def _value(word: str) -> Any:

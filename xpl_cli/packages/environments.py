@@ -1,4 +1,4 @@
-"""Environment packages: found by name, loaded by path, here or in processes of their own."""
+"""Environment packages: look them up by name, and load them in this process or in others."""
 
 from __future__ import annotations
 
@@ -22,61 +22,61 @@ if TYPE_CHECKING:
 
 _MANIFEST = package.MANIFESTS[package.ENV]
 _PROJECT = Path("envs")
-"""Where a project keeps its environments; those of ours and of installed packages go before them."""
+"""Environments of a project; those of xpl and of installed packages take precedence."""
 _warned: set[Path] = set()
-"""Folders of which it was said that they are not meant by their name."""
+"""Shadowed folders that the user was warned about."""
 _PERSON_S = 8 * 3600.0
-"""How long a reset may wait for a person."""
+"""How long a reset may wait for an operator."""
 
 
 def find(name: str) -> Path:
     """Return the folder of an environment package.
 
     Args:
-        name: a path; or a name among ours, in an installed package, or below `envs/` of the working directory.
+        name: a path; or the name of an environment of xpl, of an installed package, or below `envs/`.
 
-    The robots that it and its project describe are known from then on.
+    Registers the robots that it and its project describe.
 
     Raises:
-        UnknownTargetError: with the names that there are.
-        EntryPointError: an installed package's environments cannot be used.
-        UserError: a file does not describe a robot, or one whose name is taken.
+        UnknownTargetError: if there is none; lists the names.
+        EntryPointError: if an installed package's environments cannot be used.
+        UserError: if a file describes no valid robot, or one whose name is taken.
     """
     is_path = len(Path(name).parts) != 1 or name.startswith(".")
     candidate = None if is_path else shared_environments().get(name)
-    own = next((place for place in (Path(name), _PROJECT / name) if (place / _MANIFEST).is_file()), None)
+    own = next((folder for folder in (Path(name), _PROJECT / name) if (folder / _MANIFEST).is_file()), None)
     if candidate is None:
         candidate = own
     elif own is not None and own.resolve() != candidate.resolve() and own not in _warned:
-        # What judges must not depend on the folder that somebody stands in, which may be a stranger's checkout.
+        # The evaluation must not depend on the working directory, which may be a third party's checkout.
         _warned.add(own)
-        console.note(f"warning: {name} is {candidate}; the one in {own} is meant by its path, ./{own}")
+        console.note(f"warning: {name} is {candidate}; use ./{own} for the one in {own}")
     if candidate is None:
         raise no_such(f"there is no environment {name!r}", name, names(), kind=UnknownTargetError)
-    found = candidate.resolve()
-    robots.register_robots(found)
-    return found
+    folder = candidate.resolve()
+    robots.register_robots(folder)
+    return folder
 
 
 def names() -> list[str]:
-    """Return the names of the environments in `envs/` of the working directory, of ours and of installed packages."""
+    """Return the names of all environments: in `envs/` of the working directory, of xpl and of installed packages."""
     return sorted({*_in(_PROJECT), *shared_environments()})
 
 
 def shared_environments() -> dict[str, Path]:
-    """Return the folders of environments that any project may use: ours and those of installed packages, by name.
+    """Return the folders of the environments of xpl and of installed packages, by name.
 
     Raises:
-        EntryPointError: one brings an environment whose name another one has.
+        EntryPointError: if two packages have environments of the same name.
     """
-    found = _in(content.content_folder("envs"))
-    origins = dict.fromkeys(found, registry.BUILT_IN_DISTRIBUTION)
+    environments = _in(content.content_folder("envs"))
+    origins = dict.fromkeys(environments, registry.BUILT_IN_DISTRIBUTION)
     for folder, source in registry.folders(registry.ENVS).items():
         for name, path in _in(folder).items():
-            if name in found:
-                raise source.unusable(f"{path} and {found[name]} of {origins[name]} are both called {name}")
-            found[name], origins[name] = path, source.distribution
-    return found
+            if name in environments:
+                raise source.unusable(f"{path} and {environments[name]} of {origins[name]} are both called {name}")
+            environments[name], origins[name] = path, source.distribution
+    return environments
 
 
 def _in(folder: Path) -> dict[str, Path]:
@@ -84,46 +84,46 @@ def _in(folder: Path) -> dict[str, Path]:
 
 
 def manifest(folder: Path) -> EnvManifest:
-    """Return what an environment's env.yml says."""
+    """Return the manifest of an environment."""
     return EnvManifest.parse(manifests.read(folder / _MANIFEST, package.ENV))
 
 
 def module(name: str, part: str = "client") -> ModuleType:
-    """Load one module of an environment package."""
+    """Load a module of an environment package."""
     return content.load_module(find(name) / f"{part}.py")
 
 
 def require_simulation(name: str) -> None:
-    """Refuse an environment behind which a robot may stand, where nobody asked for an evaluation.
+    """Raise if an environment may be a real robot.
 
     Raises:
-        UserError: with what makes a simulation known as one.
+        UserError: if env.yml does not declare a simulation.
     """
     if manifest(find(name)).is_real:
         raise UserError(
-            f"{name} does not say `real_time: false`, so a robot may stand behind it, and this would move it",
-            hint="say `real_time: false` in env.yml if it is a simulation; `xpl eval` moves robots",
+            f"{name} does not declare `real_time: false`, so it may be a real robot, which this would move",
+            hint="set `real_time: false` in env.yml if it is a simulation; `xpl eval` moves robots",
             code=ExitCode.NOT_RUN,
         )
 
 
 def make(name: str, config: Config) -> TaskEnv:
     """Return a task environment in this process."""
-    made: TaskEnv = content.load_module(_client(find(name))).make(config)
-    return made
+    env: TaskEnv = content.load_module(_client(find(name))).make(config)
+    return env
 
 
 def start(name: str, config: Config, *, workers: int = 1, python: str | None = None) -> Any:
-    """Return a task environment that is safe to drive: where it does not keep its robot's limits, a guard does.
+    """Return a task environment that enforces its robot's limits, by a guard where necessary.
 
     Args:
         name: the package, or its folder.
         config: configuration, with embodiment, action_type and task.
-        workers: processes that share the environments; 0 plays them in this one.
+        workers: processes that share the environments; 0 for this process.
         python: interpreter of the processes.
 
     Raises:
-        UserError: the environment refuses the configuration, or cannot be made or played here.
+        UserError: if the environment rejects the configuration, or cannot run here.
     """
     from xpl.environment import NotInstalledError
     from xpl.simulator.process import EnvLostError, EnvRaisedError
@@ -132,11 +132,11 @@ def start(name: str, config: Config, *, workers: int = 1, python: str | None = N
 
     folder = find(name)
     if not workers and python not in (None, sys.executable):
-        raise UserError(f"{name} runs in {python}, and so not in this process: ask for at least one worker")
+        raise UserError(f"{name} runs in {python}, not in this process: use at least one worker")
     try:
         if workers:
-            # Where a robot stands, a person puts the scene right: reset waits for that, and is not hung.
-            # One that asks for a verdict, too, does so in the last step.
+            # With a real robot, an operator resets the scene: a long reset is no hang.
+            # The last step may also ask the operator for the outcome.
             facts = manifest(folder)
             asks = {"step_s": _PERSON_S} if facts.robot else {}
             limits = EnvTimeouts(start_s=_PERSON_S, **asks) if facts.real_time else None
@@ -146,12 +146,12 @@ def start(name: str, config: Config, *, workers: int = 1, python: str | None = N
     except ValueError as error:
         raise UserError(f"{name}: {error}") from None
     except NotInstalledError as error:
-        raise UserError(f"{name} cannot be played: {error}", code=ExitCode.NOT_RUN) from None
+        raise UserError(f"{name} cannot run: {error}", code=ExitCode.NOT_RUN) from None
     except (EnvRaisedError, EnvLostError) as error:
-        told = str(error)
+        message = str(error)
         if isinstance(error, EnvRaisedError) and error.kind == NotInstalledError.__name__:
-            told = error.message
-        raise UserError(f"{name} cannot be played: {told}", code=ExitCode.NOT_RUN) from None
+            message = error.message
+        raise UserError(f"{name} cannot run: {message}", code=ExitCode.NOT_RUN) from None
     return env if getattr(env, "guarded", False) else _guarded(env, config, manifest(folder))
 
 
@@ -166,11 +166,11 @@ def _guarded(env: TaskEnv, config: Config, facts: EnvManifest) -> Any:
 
     robot, control = get_embodiment(config["embodiment"]), config[sdk.Deploy.ACTION_TYPE]
     rate = facts.frequency(config.get("task"))
-    # Unless it is known that the environment waits, it is taken for a robot that does not.
+    # An environment counts as real time unless it declares a simulation.
     clock = _stopped if facts.real_time is False else time.monotonic
     return GuardedEnv(env, lambda: Supervisor(robot, control, rate), clock)
 
 
 def _stopped() -> float:
-    """Tell the time of a simulation that waits for the policy, s: no action ages."""
+    """Return the constant clock of a simulation, s: it waits for the policy, so actions do not age."""
     return 0.0

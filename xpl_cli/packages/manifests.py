@@ -1,4 +1,4 @@
-"""Manifests as commands read them: the map in a YAML file, or one error that lists all that is wrong with it."""
+"""Read manifests: the map in a YAML file, or one error that lists all problems."""
 
 from __future__ import annotations
 
@@ -16,29 +16,29 @@ _MOST_SHOWN = 20
 
 
 class ManifestError(UserError):
-    """A manifest that cannot be relied on.
+    """A manifest with problems.
 
     Args:
         path: the file.
         schema: name of its schema.
-        problems: all that is wrong with it, with their places.
+        problems: its problems, with their positions.
     """
 
     def __init__(self, path: Path, schema: str, problems: Sequence[Problem]) -> None:
-        shown = [f"  {problem}" for problem in problems[:_MOST_SHOWN]]
+        lines = [f"  {problem}" for problem in problems[:_MOST_SHOWN]]
         if len(problems) > _MOST_SHOWN:
-            shown.append(f"  and {len(problems) - _MOST_SHOWN} more")
+            lines.append(f"  and {len(problems) - _MOST_SHOWN} more")
         count = "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
         page = f"; {problems[0].page.partition('#')[0]} explains them" if problems[0].page else ""
         super().__init__(
-            "\n".join([f"{path} has {count}", *shown]),
+            "\n".join([f"{path} has {count}", *lines]),
             hint=f"`xpl spec show {schema}` lists every key{page}",
             code=ExitCode.USAGE,
         )
         self.path, self.schema, self.problems = path, schema, tuple(problems)
 
     def details(self) -> dict[str, Any]:
-        """Return the file, its problems, and the command that lists every key."""
+        """Return the entries for `xpl.error/1`."""
         from xpl_cli.standard.problems import problem_json
 
         return {
@@ -50,16 +50,16 @@ class ManifestError(UserError):
 
 
 def read(path: Path, schema: str) -> dict[str, Any]:
-    """Return the map in a manifest, in which everything that is there is right; an empty map if there is no such file.
+    """Return the map in a manifest after validation; an empty map if there is no such file.
 
-    Keys may be missing: whoever runs a package has values for them, and the audit holds its author to all.
+    Missing keys are accepted: a run has defaults for them, and the audit reports them.
 
     Args:
         path: the file.
         schema: name of its schema.
 
     Raises:
-        ManifestError: with every problem that the document has.
+        ManifestError: if the document has problems.
         UserError: if the file cannot be read.
     """
     from xpl_cli.standard.validate import validate_yaml
@@ -67,17 +67,17 @@ def read(path: Path, schema: str) -> dict[str, Any]:
     content = content_of(path)
     if content is None:
         return {}
-    shown = _shown(path)
-    data, problems = validate_yaml(content, str(shown), schema)
+    display_path = _display_path(path)
+    data, problems = validate_yaml(content, str(display_path), schema)
     wrong = [problem for problem in problems if problem.missing is None]
     if wrong:
-        raise ManifestError(shown, schema, wrong)
+        raise ManifestError(display_path, schema, wrong)
     result: dict[str, Any] = data
     return result
 
 
-def _shown(path: Path) -> Path:
-    """Return a path as the user would write it: from the working directory, where the file lies below it."""
+def _display_path(path: Path) -> Path:
+    """Return a path for messages: relative to the working directory if below it."""
     from pathlib import Path
 
     here = Path.cwd()
@@ -85,7 +85,7 @@ def _shown(path: Path) -> Path:
 
 
 def content_of(path: Path) -> bytes | None:
-    """Return what a manifest's file holds, up to what any manifest holds; None if there is no such file.
+    """Return the content of a manifest's file up to the size limit; None if there is no such file.
 
     Raises:
         UserError: if it cannot be read.

@@ -1,4 +1,4 @@
-"""An adapter package on disk: its manifests and the configuration that a run gets."""
+"""An adapter package: its manifests, and the configuration of a run."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
     from xpl.contract import Config, Entry
 
 MARKS = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML, sdk.File.POLICY_YML)
-"""Any of these files makes a folder an adapter."""
+"""A folder with any of these files is an adapter."""
 
 POLICY, ENV = "policy", "env"
 MANIFESTS = {POLICY: sdk.File.POLICY_YML, ENV: "env.yml"}
-"""The manifest of each kind of package, which tells the kind."""
+"""The manifest of each kind of package."""
 _ROOMS = {"policy": POLICY, "envs": ENV}
 _DEPLOY = "deploy"
 
 
 @dataclass(frozen=True)
 class Package:
-    """A folder with a policy adapter: what its two YAML files say."""
+    """A policy adapter: its folder, deploy.yml and policy.yml."""
 
     path: Path
     deploy: Config
@@ -43,19 +43,19 @@ class Package:
         return self.path.name
 
     def without(self, keys: Sequence[str]) -> Package:
-        """Return the package as if deploy.yml did not have some keys."""
+        """Return the package without some keys of deploy.yml."""
         return replace(self, deploy={key: value for key, value in self.deploy.items() if key not in keys})
 
     def config(self, overrides: Config | None = None) -> dict[str, Any]:
         """Return the configuration of a run: the spec's defaults, deploy.yml, then overrides.
 
-        What stays open after that is taken from the manifest: the first embodiment and the first action type. An
-        adapter without a manifest gets what its documents say that a run gets.
+        Remaining null keys come from the manifest: the first embodiment and the first action type. For an adapter
+        without a manifest, they come from its documents.
         """
         given = {**self.deploy, **(overrides or {})}
         if not self.manifest and given.get(sdk.Deploy.ENV_CFG_TYPE) is None:
-            told = documented.documented_arguments(self.path)
-            given |= {key: value for key, value in told.items() if given.get(key) is None}
+            documented_values = documented.documented_arguments(self.path)
+            given |= {key: value for key, value in documented_values.items() if given.get(key) is None}
         config = {**sdk.DEPLOY_DEFAULTS, **given}
         fallbacks = {
             sdk.Deploy.POLICY_NAME: self.name,
@@ -70,30 +70,30 @@ class Package:
         return config
 
     def require_declared(self, config: Config) -> None:
-        """Refuse what the policy was never made for, also where its code would take it without a word.
+        """Raise if a configuration is not among those that policy.yml declares.
 
         Args:
             config: the configuration of a run.
 
         Raises:
-            UserError: if policy.yml declares other robots or kinds of actions.
+            UserError: if policy.yml declares other robots or action types.
         """
         from xpl.embodiment import why_undeclared  # which needs numpy
 
-        asked = (str(config[key]) for key in (sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE))
-        if (refused := why_undeclared(self.manifest, *asked)) is not None:
-            hint = "ask for one of them with --set, or declare it in policy.yml if the model drives it"
+        requested = (str(config[key]) for key in (sdk.Deploy.ENV_CFG_TYPE, sdk.Deploy.ACTION_TYPE))
+        if (refused := why_undeclared(self.manifest, *requested)) is not None:
+            hint = "select one of them with --set, or declare it in policy.yml if the model supports it"
             raise UserError(f"{self.name}: {refused}", hint=hint)
 
 
 def find_policy(path: Path | str) -> Path:
     """Return the folder of an adapter given its path, or its name below `policy/` of the working directory or ours.
 
-    The robots that it and its project describe are known from then on.
+    Registers the robots that it and its project describe.
 
     Raises:
         NotFoundError: if there is no such folder with an adapter in it.
-        UserError: a file does not describe a robot, or one whose name is taken.
+        UserError: if a file describes no valid robot, or one whose name is taken.
     """
     given = Path(path)
     candidates = [given, Path("policy") / given, content.content_folder("policy") / given]
@@ -113,16 +113,16 @@ def find_policy(path: Path | str) -> Path:
 
 
 def load(path: Path | str, overrides: Config | None = None) -> Package:
-    """Read an adapter's deploy.yml and, where it has one, its policy.yml, as the variant of a run has them.
+    """Read an adapter's deploy.yml and policy.yml, with the variant of the run applied.
 
     Args:
-        path: of its folder, or its name.
-        overrides: keys of deploy.yml, among which `variant` may choose one.
+        path: its folder or name.
+        overrides: keys of deploy.yml; `variant` selects a variant.
 
     Raises:
         NotFoundError: if there is no adapter at `path`.
-        ManifestError: if something in one of them is not what its schema says.
-        UserError: if it does not have the variant.
+        ManifestError: if one of them has problems.
+        UserError: if there is no such variant.
     """
     folder = find_policy(path)
     manifest: Entry = manifests.read(folder / sdk.File.POLICY_YML, POLICY)
@@ -135,10 +135,10 @@ def load(path: Path | str, overrides: Config | None = None) -> Package:
 
 
 def parse_overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Return the map of `KEY=VALUE` settings; a value is YAML, so `false` is a flag and `3` a number.
+    """Parse `KEY=VALUE` settings; a value is YAML, so `false` is a flag and `3` a number.
 
     Raises:
-        UserError: if a setting has no `=`, or its value is not YAML, or none that deploy.yml may have.
+        UserError: if a setting has no `=`, or its value is no YAML, or not valid in deploy.yml.
     """
     import yaml
 

@@ -1,4 +1,4 @@
-"""What an audit looks at: policy and environment packages."""
+"""Targets of an audit: policy and environment packages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class AuditTarget:
     Attributes:
         path: its folder, absolute.
         kind: `policy` or `env`.
-        shown: the folder relative to the working directory where it lies below it, for reports.
+        shown: the folder for reports, relative to the working directory if below it.
     """
 
     path: Path
@@ -30,26 +30,26 @@ class AuditTarget:
 
 
 def requested_targets(paths: Iterable[Path], *, every: bool = False) -> list[AuditTarget]:
-    """Return the packages of a request, each once.
+    """Return the requested packages, each once.
 
     Args:
-        paths: folders, or names below `policy/` and `envs/`, of the working directory or ours.
+        paths: folders, or names of packages of the working directory or of xpl.
         every: also every package below `policy/` and `envs/` of the working directory.
 
     Raises:
-        UserError: if nothing is asked for.
+        UserError: if none is requested.
         NotFoundError: if there is no such package.
     """
-    found = [find_target(path) for path in paths]
+    targets = [find_target(path) for path in paths]
     if every:
-        found += find_all()
-    if not found:
+        targets += find_all()
+    if not targets:
         raise UserError("name a package: xpl audit PATH..., or --all for every one below policy/ and envs/")
-    return unique(found)
+    return unique(targets)
 
 
 def find_target(path: Path) -> AuditTarget:
-    """Return the package at a path, or of a name: below `policy/` or `envs/` here, ours, or installed.
+    """Return the package at a path, or by its name: of the working directory, of xpl, or installed.
 
     Raises:
         NotFoundError: if there is none.
@@ -77,30 +77,30 @@ def find_all() -> list[AuditTarget]:
         NotFoundError: if there is none.
     """
     kinds = ((_POLICIES, package.MARKS, package.POLICY), (_ENVIRONMENTS, (_ENV_YML,), package.ENV))
-    found = [
+    targets = [
         _target(folder.resolve(), kind)
-        for room, marks, kind in kinds
-        for folder in sorted(Path(room).glob("*/"))
+        for parent, marks, kind in kinds
+        for folder in sorted(Path(parent).glob("*/"))
         if any((folder / mark).is_file() for mark in marks)
     ]
-    if not found:
+    if not targets:
         raise NotFoundError(
             f"there is no package below policy/ and envs/ of {Path.cwd()}", hint="`xpl new-policy NAME` starts one"
         )
-    return unique(found)
+    return unique(targets)
 
 
 def package_of(file: Path) -> Path | None:
-    """Return the package that a file belongs to: the outermost, because models vendor whole repositories."""
+    """Return the outermost package that contains a file: models may vendor whole repositories."""
     return next((folder for folder in reversed(file.parents) if is_package(folder)), None)
 
 
 def is_package(folder: Path) -> bool:
-    """Tell a package by its manifest; one of the ecosystem, which has none, by where it is and what it holds."""
+    """Tell whether a folder is a package: by its manifest or, for adapters without one, by its location and files."""
     if any((folder / name).is_file() for name in package.MANIFESTS.values()):
         return True
-    held = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML)
-    return folder.parent.name == _POLICIES and any((folder / name).is_file() for name in held)
+    files = (sdk.File.MODEL_PY, sdk.File.DEPLOY_YML)
+    return folder.parent.name == _POLICIES and any((folder / name).is_file() for name in files)
 
 
 def unique(targets: Iterable[AuditTarget]) -> list[AuditTarget]:

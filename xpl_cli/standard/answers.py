@@ -1,7 +1,7 @@
-"""The JSON answers of all commands: one list (`answers.yml`) of their names, and of what each holds.
+"""The JSON answers of all commands, with their schemas in `answers.yml`.
 
-An answer is an object whose `schema` names it, with its version, and whose `next` lists exact commands that are worth
-running next. Within a version keys are only added.
+An answer is an object: `schema` has its name and version, and `next` lists exact next commands. Within a version, keys
+are only added.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ class CommandAnswer:
 
     Attributes:
         name: the value of its `schema`.
-        commands: commands that give it, such as `xpl spec show`; none for what any command may answer.
-        description: what it says, one sentence.
+        commands: commands that print it, such as `xpl spec show`; empty for answers of any command.
+        description: its content, one sentence.
     """
 
     name: str
@@ -51,7 +51,7 @@ def of_command(command: str) -> tuple[str, ...]:
 
 
 def find(name: str) -> CommandAnswer:
-    """Return an answer by its name, or by the command that gives it, with or without `xpl`.
+    """Return an answer by its name or its command, with or without `xpl`.
 
     Raises:
         UnknownNameError: if there is none.
@@ -65,7 +65,7 @@ def find(name: str) -> CommandAnswer:
 
 
 def schema(name: str) -> dict[str, Any]:
-    """Return the JSON Schema (2020-12) of an answer, which refers to nothing but the standard's own schemas."""
+    """Return the JSON Schema (2020-12) of an answer, which refers to the standard's schemas only."""
     entry = _entries()[name]
     if _STANDARD in entry:
         from xpl_cli.standard import spec
@@ -81,7 +81,7 @@ def schema(name: str) -> dict[str, Any]:
 
 
 def problems(document: Mapping[str, Any]) -> list[str]:
-    """Return how a document differs from the schema that it names; none means it is valid.
+    """Return the differences between a document and the schema that it names; none if it is valid.
 
     Raises:
         UnknownNameError: if there is no answer of that name.
@@ -97,7 +97,7 @@ def problems(document: Mapping[str, Any]) -> list[str]:
 
 
 def _closed(entry: object) -> Any:
-    """Return a schema of the list in full: a map has the keys that it names, all of them but the optional ones."""
+    """Expand a schema of the list: a map has exactly its listed keys, of which some are optional."""
     if isinstance(entry, list):
         return [_closed(item) for item in entry]
     if not isinstance(entry, dict):
@@ -116,5 +116,5 @@ def _closed(entry: object) -> Any:
 
 @cache
 def _entries() -> dict[str, Any]:
-    told: dict[str, Any] = yaml_text.parse(_LIST.read_bytes())
-    return {name: entry for name, entry in told.items() if not name.startswith("_")}
+    parsed: dict[str, Any] = yaml_text.parse(_LIST.read_bytes())
+    return {name: entry for name, entry in parsed.items() if not name.startswith("_")}

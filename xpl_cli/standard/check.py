@@ -1,4 +1,4 @@
-"""Checks of the standard itself: its parts must be well formed, complete and in agreement."""
+"""Checks of the standard itself: its parts must be well formed, complete and consistent."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def _schema(name: str) -> Iterator[Problem]:
         if "$ref" in node:
             try:
                 resolver.lookup(node["$ref"])
-            except Exception as error:  # noqa: BLE001 - whatever the library raises, the reference leads nowhere
+            except Exception as error:  # noqa: BLE001 - any error means that the reference cannot be resolved
                 yield Problem(path, f"{node['$ref']} leads nowhere ({type(error).__name__})", file=file)
         if "x-array" in node and set(node["x-array"]) != {"shape", "dtype"}:
             yield Problem(path, "x-array takes exactly shape and dtype", file=file)
@@ -75,7 +75,7 @@ def _pointer(path: tuple[str | int, ...]) -> str:
 
 
 def _orphans() -> Iterator[Problem]:
-    """Yield what lies in the folder and belongs to no part of the standard, and what is missing there."""
+    """Yield unknown and missing files in the folder of the standard."""
     folder = spec.folder()
     parts = {f"{name}.yml" for name in _DATA_FILES}
     known = parts | {f"{name}.schema.json" for name in spec.schema_names()}
@@ -101,7 +101,7 @@ def _requirements() -> Iterator[Problem]:
 
 
 def _agreements() -> Iterator[Problem]:
-    """Yield names in the YAML parts that the schemas do not know."""
+    """Yield names in the YAML parts that are not in the schemas."""
     conventions, package = spec.data("conventions"), spec.data("package")
     state = spec.schema("observation")["$defs"]["state"]["properties"]
     settings = spec.schema("deploy")["properties"]

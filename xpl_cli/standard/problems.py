@@ -1,4 +1,4 @@
-"""Problems of a document: what a validator's errors mean to the person who has to mend it."""
+"""Problems of a document: readable forms of a validator's errors."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ _Error = Any
 
 @dataclass(frozen=True)
 class Problem:
-    """One way in which a document differs from its schema.
+    """One difference between a document and its schema.
 
     Attributes:
         path: keys and positions that lead to the value, from the outside in.
         message: one sentence.
-        expected: what would do.
-        got: what is there.
-        nearest: the valid name that is spelt nearest to the one that is there.
+        expected: a valid value.
+        got: the actual value.
+        nearest: the valid name with the nearest spelling.
         file: the document's file, if it came from one.
         line, column: position in that file, from 1.
         page: page of the documentation that explains it.
@@ -43,13 +43,13 @@ class Problem:
 
     @property
     def location(self) -> str:
-        """Where it is: the file's line and column as far as known, then the path."""
+        """Its location: file, line and column as far as known, then the path."""
         position = [str(part) for part in (self.file, self.line, self.column) if part is not None]
         return " ".join(filter(None, [":".join(position), format_path(self.path)]))
 
     @property
     def text(self) -> str:
-        """The message, with the name that was probably meant."""
+        """The message, with a suggestion."""
         return f"{self.message} (did you mean {self.nearest}?)" if self.nearest else self.message
 
     def __str__(self) -> str:
@@ -57,12 +57,12 @@ class Problem:
 
 
 def problem_json(problem: Problem) -> dict[str, Any]:
-    """Return a problem as JSON tells it, with its key as people write it."""
+    """Return a problem as JSON, with its key as text."""
     return {**asdict(problem), "path": [str(part) for part in problem.path], "key": format_path(problem.path)}
 
 
 def explain(error: _Error) -> Iterator[Problem]:
-    """Yield the problems that one error of the validator stands for, readable ones."""
+    """Yield readable problems for one error of the validator."""
     describe = _DESCRIPTIONS.get(str(error.validator))
     if describe is None:
         yield Problem(_path(error), error.message, got=describe_value(error.instance))
@@ -91,11 +91,11 @@ def _required(error: _Error) -> Iterator[Problem]:
     key = next(name for name in error.validator_value if error.message.startswith(repr(name)))
     entry = error.schema.get("properties", {}).get(key, {})
     meaning = f" ({entry['description']})" if isinstance(entry, Mapping) and "description" in entry else ""
-    there = ", ".join(map(str, error.instance)) or "nothing"
+    present = ", ".join(map(str, error.instance)) or "nothing"
     unknown = [str(name) for name in error.instance if name not in error.schema.get("properties", ())]
     similar = difflib.get_close_matches(key, unknown, n=1)
     hint = f"; {similar[0]!r} may be meant for it" if similar else ""
-    yield Problem(_path(error), f"the key {key!r}{meaning} is missing{hint}", expected=key, got=there, missing=key)
+    yield Problem(_path(error), f"the key {key!r}{meaning} is missing{hint}", expected=key, got=present, missing=key)
 
 
 def _choice(error: _Error) -> Iterator[Problem]:
@@ -110,28 +110,28 @@ def _choice(error: _Error) -> Iterator[Problem]:
 
 def _type(error: _Error) -> Iterator[Problem]:
     types = error.validator_value
-    wanted: list[str] = types if isinstance(types, list) else [types]
-    text = error.schema.get("x-told") or " or ".join(_TYPE_NAMES.get(name, name) for name in wanted)
+    types_expected: list[str] = types if isinstance(types, list) else [types]
+    text = error.schema.get("x-told") or " or ".join(_TYPE_NAMES.get(name, name) for name in types_expected)
     got = describe_value(error.instance)
-    meant = next(filter(None, (_meant(name, error.instance) for name in wanted)), None)
+    meant = next(filter(None, (_meant(name, error.instance) for name in types_expected)), None)
     yield Problem(_path(error), f"expected {text}, got {got}", expected=text, got=got, nearest=meant)
 
 
-def _meant(wanted: str, given: object) -> str | None:
-    """Return how a value is written in YAML that was meant, but taken for something else: yes, 3, 1e-2, "false"."""
-    if wanted == "string" and isinstance(given, (bool, int, float)):
+def _meant(types_expected: str, given: object) -> str | None:
+    """Return the YAML spelling of a value that was parsed as another type: yes, 3, 1e-2, "false"."""
+    if types_expected == "string" and isinstance(given, (bool, int, float)):
         return f'"{_value(given)}"'
     if not isinstance(given, str):
         return None
-    if wanted == "boolean" and given.lower() in {"true", "false"}:
+    if types_expected == "boolean" and given.lower() in {"true", "false"}:
         return given.lower()
     try:
         number = float(given)
     except ValueError:
         return None
-    if wanted == "integer" and number.is_integer():
+    if types_expected == "integer" and number.is_integer():
         return str(int(number))
-    return repr(number) if wanted == "number" and math.isfinite(number) else None
+    return repr(number) if types_expected == "number" and math.isfinite(number) else None
 
 
 def _limit(error: _Error) -> Iterator[Problem]:
@@ -145,7 +145,7 @@ def _array(error: _Error) -> Iterator[Problem]:
 
 
 def _branches(error: _Error) -> Iterator[Problem]:
-    """Report the alternative that the document is nearest to; if none stands out, what the alternatives expect."""
+    """Report the nearest alternative; if none stands out, what the alternatives expect."""
     branches: dict[Any, list[_Error]] = {}
     for sub in error.context or ():
         branches.setdefault(sub.schema_path[0], []).append(sub)
@@ -167,21 +167,21 @@ def _branches(error: _Error) -> Iterator[Problem]:
 
 
 def _distance(error: _Error) -> float:
-    """Return how far a document is from an alternative, as one error tells: missing and extra keys count most."""
+    """Return the distance of a document from an alternative by one error: missing and extra keys count most."""
     if error.validator == "additionalProperties":
         known = error.schema.get("properties", ())
         return float(sum(key not in known for key in error.instance))
     if error.validator == "required":
         return 1.0
     if not error.path and (error.validator == "type" or (error.validator == "const" and _is_map(error.instance))):
-        return 100.0  # of another kind altogether
+        return 100.0  # another type
     if error.context:
         return min(_distance(sub) for sub in error.context)
     return 0.1
 
 
 def nearest(given: Any, names: Any) -> str | None:
-    """Return the name that `given` is most likely a misspelling of, or None."""
+    """Return the most similar name, or None."""
     matches = difflib.get_close_matches(str(given), list(names), n=1, cutoff=0.6)
     return matches[0] if matches else None
 
@@ -200,7 +200,7 @@ def _value(value: object) -> str:
 
 
 def describe_value(value: object) -> str:
-    """Describe a value by its kind, and by itself where that is short."""
+    """Describe a value by its type, and by its value if short."""
     import numpy as np
 
     if value is None:

@@ -1,7 +1,7 @@
-"""The files of robots: those of `spec/robots/`, and what a file that describes one has to be.
+"""Robot files: those of `spec/robots/`, and validation of any robot file.
 
-A robot lies in `spec/robots/NAME.yml`, and `spec/robots/aliases.yml` holds the words of benchmarks. `xpl spec compile`
-makes of them what `xpl.robots` knows. Files of projects (`embodiments/NAME.yml`) go through the same reader.
+A robot is a file `spec/robots/NAME.yml`, and `spec/robots/aliases.yml` has the names of benchmarks. `xpl spec compile`
+compiles them for `xpl.robots`. Files of projects (`embodiments/NAME.yml`) have the same reader.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _ALIASES = "aliases.yml"
 
 
 def folder() -> Path:
-    """Return the folder of our robots."""
+    """Return the folder of the standard's robots."""
     return content_folder("spec") / "robots"
 
 
 @cache
 def entries() -> dict[str, dict[str, Any]]:
-    """Return what the files say of every robot, by name, each whole: what it has from the one it is `like` included."""
+    """Return every robot by name, complete: with the entries inherited by `like`."""
     waiting = {path.stem: spec.read_yaml(path) for path in _files()}
     known: dict[str, dict[str, Any]] = {}
     while ready := [name for name, entry in waiting.items() if entry.get("like") in (None, *known)]:
@@ -47,12 +47,12 @@ def entries() -> dict[str, dict[str, Any]]:
 
 @cache
 def aliases() -> dict[str, str]:
-    """Return what benchmarks call robots where no entry says so, with the robot's name."""
+    """Return further names of robots in benchmarks, with the robot's name."""
     return dict(spec.read_yaml(folder() / _ALIASES))
 
 
 def check() -> Iterator[Problem]:
-    """Yield every fault of the robots, by file: schema, names, and where numbers are from."""
+    """Yield every problem of the robots, by file: schema, names and sources."""
     taken: dict[str, str] = {}
     whole = entries()
     for path in _files():
@@ -76,28 +76,28 @@ def check() -> Iterator[Problem]:
 
 
 def read(content: bytes, file: str, others: Mapping[str, Entry]) -> tuple[dict[str, Any] | None, list[Problem]]:
-    """Return the robot that a file describes, whole, and all that is wrong with the file, with lines.
+    """Return the complete robot of a file, and the file's problems with their lines.
 
     Args:
-        content: of the file.
-        file: how problems name it; its stem has to be the robot's name.
-        others: robots that it may be `like`.
+        content: content of the file.
+        file: its name in problems; its stem has to be the robot's name.
+        others: robots that `like` may refer to.
     """
-    told, problems = validate_yaml(content, file, _SCHEMA)
-    if not isinstance(told, dict):
+    robot, problems = validate_yaml(content, file, _SCHEMA)
+    if not isinstance(robot, dict):
         return None, problems
-    base = others.get(str(told.get("like"))) if "like" in told else None
+    base = others.get(str(robot.get("like"))) if "like" in robot else None
     root = text.read(content).root
-    if base is not None:  # parts are enough then; the whole that they make has to fit
-        told = robots.inherit(base, told)
-        problems = _placed(validate(told, _SCHEMA), root, file)
-    arm = told.get("arm")
+    if base is not None:  # a partial entry is allowed; the merged one has to be valid
+        robot = robots.inherit(base, robot)
+        problems = _placed(validate(robot, _SCHEMA), root, file)
+    arm = robot.get("arm")
     if not problems and isinstance(arm, dict):
-        sized = validate(told, _SCHEMA, bindings={"DOF": arm["dof"]})
-        problems = _placed(sized or list(_contradictions(told, file, base)), root, file)
-    if not problems and "like" in told:
-        problems = _placed([Problem(("like",), f"there is no robot {told['like']!r} with an arm")], root, file)
-    return (None if problems else told), problems
+        sized = validate(robot, _SCHEMA, bindings={"DOF": arm["dof"]})
+        problems = _placed(sized or list(_contradictions(robot, file, base)), root, file)
+    if not problems and "like" in robot:
+        problems = _placed([Problem(("like",), f"there is no robot {robot['like']!r} with an arm")], root, file)
+    return (None if problems else robot), problems
 
 
 def _contradictions(robot: Entry, file: str, base: Entry | None) -> Iterator[Problem]:
@@ -107,13 +107,13 @@ def _contradictions(robot: Entry, file: str, base: Entry | None) -> Iterator[Pro
     joints = robot["arm"]["joints"]
     if joints is not None and len(joints) != robot["arm"]["dof"]:
         yield Problem(("arm", "joints"), f"{len(joints)} joints, but dof is {robot['arm']['dof']}")
-    for place, joint in enumerate(joints or ()):
+    for index, joint in enumerate(joints or ()):
         limits = joint["limits"]
         if limits is not None and not limits[0] < limits[1]:
-            yield Problem(("arm", "joints", place, "limits"), f"expected [from, to] in rad, got {limits}")
+            yield Problem(("arm", "joints", index, "limits"), f"expected [from, to] in rad, got {limits}")
         axis = joint.get("axis")
         if axis is not None and not 1e-6 < math.hypot(*axis) < 1e6:
-            yield Problem(("arm", "joints", place, "axis"), f"expected a direction, got {axis}")
+            yield Problem(("arm", "joints", index, "axis"), f"expected a direction, got {axis}")
     if base is None:
         yield from (Problem((), fault) for fault in robots.faults(robot))
 

@@ -1,4 +1,4 @@
-"""JSON Schemas for editors: one file per manifest, which refers to nothing outside of itself.
+"""JSON Schemas for editors: one self-contained file per manifest.
 
 Language servers of YAML complete and check a manifest by the schema that its first line names. They know draft 7 best,
 and neither our references between schemas nor our keyword for arrays.
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from xpl_cli.standard.spec import Schema
 
 FOLDER = ".xpl"
-"""Folder of a package that holds what xpl keeps there."""
+"""Folder of a package with generated files of xpl."""
 
 MANIFESTS = ("policy", "env", "deploy")
-"""The manifests that people write; each is a schema's name."""
+"""The manifests that users write, by their schemas' names."""
 
 Definitions = dict[str, Any]
-"""Parts of schemas by the name that a bundle has for them."""
+"""Parts of schemas by their names in a bundle."""
 _DIALECT = "http://json-schema.org/draft-07/schema#"
 _OWN = "#/$defs/"
 _HEAD = ("$schema", "$id", "$defs")
-"""What a schema has only as a file of its own."""
+"""Keys of a schema that a bundle omits."""
 _KINDS = {"uint8": "integer", "float": "number", "number": "number"}
 
 
 def path(name: str) -> str:
-    """Return where a package keeps the schema of one of its manifests."""
+    """Return the path of a manifest's schema in a package."""
     return f"{FOLDER}/{name}.schema.json"
 
 
@@ -62,7 +62,7 @@ def write(folder: Path) -> list[str]:
 
 
 def bundle(name: str) -> dict[str, Any]:
-    """Return a schema with everything in it that it refers to, in the words of draft 7."""
+    """Return a schema with all its references included, in draft 7."""
     schema = spec.schema(name)
     definitions: Definitions = {}
     body = {key: value for key, value in schema.items() if key not in _HEAD}
@@ -88,13 +88,13 @@ def _plain(value: object, name: str, definitions: Definitions, root: str) -> Any
 
 
 def _referred(reference: str, name: str, definitions: Definitions, root: str) -> str:
-    """Put what a reference leads to among the definitions, and return the reference to it there."""
+    """Add the target of a reference to the definitions, and return the new reference."""
     other, _, pointer = reference.partition("#")
     home = other.rpartition("/")[2] or name
     key = pointer.removeprefix(_OWN[1:]).replace("/", ".") or "whole"
     label = key if home == root else f"{home}.{key}"
     if label not in definitions:
-        definitions[label] = {}  # before its own references are followed: it may lead back to itself
+        definitions[label] = {}  # before following its own references, which may be recursive
         target: Any = spec.schema(home)
         for part in pointer.split("/")[1:]:
             target = target[part]

@@ -1,6 +1,6 @@
-"""What a manifest says that nobody knows: `{unknown: why}` in the place of a value.
+"""Unknown values of a manifest: `{unknown: why}` instead of a value.
 
-Whoever runs a package takes such a key for one that is not there; whoever checks it is told the reason.
+A run treats such a key as missing; a check reports the reason.
 """
 
 from __future__ import annotations
@@ -10,45 +10,45 @@ from typing import Any, Final
 
 KEY: Final = "unknown"
 _OWN: Final = frozenset(("model_io",))
-"""Parts that keep their gaps, since those who read them have values for them (`xpl.convert.gaps`)."""
+"""Parts that keep their unknown values, which their readers handle (`xpl.convert.gaps`)."""
 
 KeyPath = tuple[str | int, ...]
 
 
 def reason(value: Any) -> str | None:
-    """Return why a value is not known; None if it is a value."""
+    """Return why a value is unknown; None for a known one."""
     is_open = isinstance(value, Mapping) and set(value) == {KEY} and isinstance(value[KEY], str)
     return value[KEY] if is_open else None
 
 
 def split(document: object) -> tuple[Any, dict[KeyPath, str]]:
-    """Return a manifest without what is not known in it, and why that is not known, by place."""
+    """Return a manifest without its unknown values, and their reasons by path."""
     gaps: dict[KeyPath, str] = {}
     return _known(document, (), gaps), gaps
 
 
 def known(document: object) -> Any:
-    """Return a manifest without what is not known in it, and without the parts of which nothing is."""
+    """Return a manifest without its unknown values, and without parts that become empty."""
     return _without_empty(document, split(document)[0])
 
 
-def _without_empty(given: object, left: object) -> Any:
-    if not isinstance(left, dict) or not isinstance(given, dict):
-        return left
-    entries = {key: _without_empty(given[key], entry) for key, entry in left.items()}
-    return {key: entry for key, entry in entries.items() if entry != {} or given[key] == {}}
+def _without_empty(original: object, remaining: object) -> Any:
+    if not isinstance(remaining, dict) or not isinstance(original, dict):
+        return remaining
+    entries = {key: _without_empty(original[key], entry) for key, entry in remaining.items()}
+    return {key: entry for key, entry in entries.items() if entry != {} or original[key] == {}}
 
 
-def _known(value: object, place: KeyPath, gaps: dict[KeyPath, str]) -> Any:
+def _known(value: object, path: KeyPath, gaps: dict[KeyPath, str]) -> Any:
     if not isinstance(value, dict):
         return value
     known = {}
     for key, entry in value.items():
         why = reason(entry)
-        if not place and key in _OWN:
+        if not path and key in _OWN:
             known[key] = entry
         elif why is not None:
-            gaps[*place, key] = why
+            gaps[*path, key] = why
         else:
-            known[key] = _known(entry, (*place, key), gaps)
+            known[key] = _known(entry, (*path, key), gaps)
     return known

@@ -43,12 +43,12 @@ _KINDS = {"uint8": "u", "float": "f", "number": "iuf"}
 
 
 def validate(instance: Any, schema_name: str, bindings: Mapping[str, int] | None = None) -> list[Problem]:
-    """Return the problems of a document, in the order of their places; none means it is valid.
+    """Return the problems of a document, sorted by path; none if it is valid.
 
     Args:
         instance: the document; arrays may be numpy arrays, nested lists, or bytes for 1-D uint8.
         schema_name: name of a schema, such as "observation"; a definition in it is "payload#/$defs/hello".
-        bindings: sizes of symbols that are known beforehand, for example `{"DOF": 6}`.
+        bindings: known sizes of symbols, for example `{"DOF": 6}`.
     """
     gaps: dict[unknown.KeyPath, str] = {}
     if schema_name == _OPEN:
@@ -77,13 +77,13 @@ def _validator(schema_name: str) -> Validator:
 
 @cache
 def registry() -> Registry[Any]:
-    """Return all schemas under their `$id`, so that references between them resolve."""
+    """Return the registry of all schemas by `$id`."""
     from referencing import Registry
     from referencing.jsonschema import DRAFT202012
 
     resources = []
     for schema in map(spec.schema, spec.schema_names()):
-        # With `$schema` in place the validator would change to the plain class of that dialect at every reference.
+        # With `$schema` in path the validator would change to the plain class of that dialect at every reference.
         contents = {key: value for key, value in schema.items() if key != "$schema"}
         resources.append((schema["$id"], DRAFT202012.create_resource(contents)))
     return Registry().with_resources(resources)
@@ -94,7 +94,7 @@ def registry() -> Registry[Any]:
 
 @dataclass
 class _Scopes:
-    """Sizes of symbols: for the whole document, and for each object that is being read, innermost last."""
+    """Sizes of symbols: of the whole document, and of each enclosing object, innermost last."""
 
     document: dict[str, int] = field(default_factory=dict)
     objects: list[dict[str, int]] = field(default_factory=list)
@@ -119,7 +119,7 @@ def _validator_class() -> Callable[..., Validator]:
             yield ValidationError(message)
 
     def scoped(keyword: str) -> Callable[..., Any]:
-        """Give the object that a keyword descends into symbols of its own."""
+        """Give each nested object its own symbols."""
         original = keywords[keyword]
 
         def check(validator: object, wanted: object, instance: object, schema: object) -> Iterator[ValidationError]:
@@ -134,7 +134,7 @@ def _validator_class() -> Callable[..., Validator]:
         return check
 
     def words_only(keyword: str) -> Callable[..., Any]:
-        """Keep arrays from comparisons that are meant for words: comparing an array gives an array."""
+        """Convert arrays before comparisons, which would return arrays."""
         original = keywords[keyword]
 
         def check(validator: object, wanted: object, instance: object, schema: object) -> Iterator[ValidationError]:
@@ -167,17 +167,17 @@ def _validator_class() -> Callable[..., Validator]:
 
 
 def _is_finite(value: float) -> bool:
-    """Tell whether a number is one: YAML writes infinity and no-number-at-all as .inf and .nan."""
+    """Tell whether a number is finite: YAML has .inf and .nan."""
     return isinstance(value, int) or math.isfinite(value)
 
 
 def _scalar_kind(value: object) -> str:
-    """Return the dtype kind of a numpy scalar, "-" for anything else; most documents are read without numpy."""
+    """Return the dtype kind of a numpy scalar, "-" for anything else; most documents need no numpy."""
     return str(value.dtype.kind) if getattr(value, "shape", None) == () and hasattr(value, "dtype") else "-"
 
 
 def _array_message(wanted: Schema, instance: object) -> str | None:
-    """Return how a value differs from `{shape, dtype}`, or None; binds the symbols of a shape that fits."""
+    """Return how a value differs from `{shape, dtype}`, or None; binds the symbols of a matching shape."""
     shape, dtype = wanted["shape"], wanted["dtype"]
     array = _as_array(instance, dtype)
     expected = shape_text(wanted)
@@ -201,14 +201,14 @@ def _array_message(wanted: Schema, instance: object) -> str | None:
 
 
 def shape_text(wanted: Schema) -> str:
-    """Write an `x-array` the way documentation does: `(H, W, 3) uint8`."""
+    """Return an `x-array` as text: `(H, W, 3) uint8`."""
     shape = wanted["shape"]
     dtype = "numbers" if wanted["dtype"] == "number" else wanted["dtype"]
     return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''}) {dtype}"
 
 
 def _as_array(instance: object, dtype: str) -> np.ndarray | None:
-    """Return an array of what an array may be given as, or None for everything else."""
+    """Convert a value to an array, or return None if it is none."""
     import numpy as np
 
     if isinstance(instance, np.ndarray):
@@ -224,7 +224,7 @@ def _as_array(instance: object, dtype: str) -> np.ndarray | None:
 
 
 def _holds_flags(values: object) -> bool:
-    """Tell whether nested lists hold a bool, which numpy would silently make a number."""
+    """Tell whether nested lists contain a bool, which numpy would convert to a number."""
     if isinstance(values, (list, tuple)):
         return any(_holds_flags(value) for value in values)
     return isinstance(values, bool)
@@ -232,7 +232,7 @@ def _holds_flags(values: object) -> bool:
 
 def _dtype_fits(array: np.ndarray, instance: object, dtype: str) -> bool:
     if isinstance(instance, (list, tuple)):
-        # A list has no dtype: what counts is whether its numbers can be had as the wanted ones.
+        # A list has no dtype: its numbers have to be convertible to the expected one.
         if dtype == "uint8":
             return array.size == 0 or (array.dtype.kind in "iu" and array.min() >= 0 and array.max() <= 255)
         return array.dtype.kind in _KINDS["number"]
@@ -254,11 +254,11 @@ def validate_yaml_file(path: Path, schema_name: str) -> list[Problem]:
 
 
 def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, list[Problem]]:
-    """Return what a YAML document holds and its problems; what does not parse holds None.
+    """Return the content of a YAML document and its problems; None if it cannot be parsed.
 
     Args:
         content: the document.
-        file: how problems name the file that it was read from.
+        file: name of its file in problems.
         schema_name: its schema.
     """
     page = page_of(schema_name)
@@ -283,29 +283,29 @@ def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, lis
 
 
 def _of_variants(document: Entry, problems: Sequence[Problem]) -> Iterator[Problem]:
-    """Yield what is wrong with policy.yml, or with deploy.yml, only as a variant has it."""
+    """Yield problems of policy.yml or deploy.yml that only occur with a variant."""
     named = document.get("variants")
     patches = (
         [name for name, patch in named.items() if isinstance(patch, Mapping)] if isinstance(named, Mapping) else []
     )
     for name in patches:
         merged, patch = variants.apply_variant(document, name)
-        place = ("variants", str(name))
-        yield from (replace(one, path=(*place, *one.path)) for one in validate(merged, _OPEN) if one not in problems)
+        path = ("variants", str(name))
+        yield from (replace(one, path=(*path, *one.path)) for one in validate(merged, _OPEN) if one not in problems)
         of_deploy = [one for one in validate(patch, "deploy") if one.missing is None]
-        yield from (replace(one, path=(*place, "deploy", *one.path)) for one in of_deploy)
+        yield from (replace(one, path=(*path, "deploy", *one.path)) for one in of_deploy)
 
 
 def _unknown(problem: Problem, gaps: Mapping[unknown.KeyPath, str]) -> Problem:
-    """Return a problem, which says of a key that is missing why, where the document does."""
-    place = (*problem.path, problem.missing) if problem.missing is not None else ()
-    if place not in gaps:
+    """Return a problem, with the document's reason for a missing key that is declared unknown."""
+    path = (*problem.path, problem.missing) if problem.missing is not None else ()
+    if path not in gaps:
         return problem
-    return replace(problem, path=place, message=f"unknown: {gaps[place]}")
+    return replace(problem, path=path, message=f"unknown: {gaps[path]}")
 
 
 def page_of(schema_name: str, problem: Problem | None = None) -> str:
-    """Return the page of the documentation that explains a kind of document, and the key with a problem on it."""
+    """Return the documentation page of a kind of document, with the key of a problem as its anchor."""
     page = f"docs/reference/{schema_name.partition('#')[0]}.md"
     known = spec.schema(schema_name.partition("#")[0]).get("properties", {})
     key = problem.path[0] if problem is not None and problem.path else None
@@ -313,7 +313,7 @@ def page_of(schema_name: str, problem: Problem | None = None) -> str:
 
 
 def _repeated_keys(root: yaml.Node) -> Iterator[tuple[Problem, yaml.Mark]]:
-    """Yield each key that a map gives twice, which YAML forbids and its readers pass over."""
+    """Yield duplicate keys of maps, which YAML forbids and parsers ignore."""
     waiting: list[tuple[yaml.Node, tuple[str | int, ...]]] = [(root, ())]
     seen: set[int] = set()
     while waiting:

@@ -1,4 +1,4 @@
-"""The standard as people read it: an index, requirements as a table, schemas as an outline."""
+"""Text views of the standard: an index, requirements as a table, schemas as an outline."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PARTS = {
 
 
 OPEN = " ?"
-"""Follows the kind of a value that may be open."""
+"""Suffix of the type of a value that may be unknown."""
 OPEN_MEANS = "A value with ? may be open: {unknown: why} in its place."
 
 
@@ -43,10 +43,10 @@ class SpecView:
 
 
 def view(name: str | None) -> SpecView:
-    """Return the part of the standard that `name` names: schema, part, requirement or embodiment; None is the index.
+    """Return a part of the standard by name: schema, part, requirement or embodiment; None for the index.
 
     Raises:
-        UnknownTargetError: with the nearest names.
+        UnknownTargetError: if there is none; suggests the nearest names.
     """
     if name is None:
         index = _index()
@@ -68,7 +68,7 @@ def view(name: str | None) -> SpecView:
 
 
 def _robot(name: str) -> SpecView:
-    """Return a robot by any of its names."""
+    """Return a robot by its name or an alias."""
     robot = robots.canonical(name)
     if robot is None:
         raise _unknown(name)
@@ -77,26 +77,26 @@ def _robot(name: str) -> SpecView:
 
 
 def _robot_text(name: str, entry: Entry) -> str:
-    """Return a robot of ours as its file has it, and any other with all that it has from the one it is like."""
-    said = f"{name}, from {_from(name)}"
+    """Return the file of a robot of xpl, or the complete entry of any other robot."""
+    title = f"{name}, from {_from(name)}"
     if robots.origin(name) == robots.OURS:
         text = (files.folder() / f"{name}.yml").read_text(encoding="utf-8")
         other = spec.parse_yaml(text).get("like")
         if other is None:
             return text
-        said += f", as {other} but for what its file says"
-    return _whole_text(entry, said)
+        title += f", as {other} but for what its file says"
+    return _whole_text(entry, title)
 
 
-def _whole_text(entry: Entry, said: str) -> str:
+def _whole_text(entry: Entry, title: str) -> str:
     import yaml
 
     whole = yaml.safe_dump(dict(entry), sort_keys=False, allow_unicode=True, default_flow_style=None, width=120)
-    return f"# {said}\n{whole}"
+    return f"# {title}\n{whole}"
 
 
 def _from(robot: str) -> str:
-    """Return where a robot comes from, in words."""
+    """Return the origin of a robot as text."""
     where = robots.origin(robot)
     return "spec/robots (comes with xpl)" if where == robots.OURS else where
 
@@ -137,9 +137,9 @@ class SchemaRow:
 
     Attributes:
         path: the keys that lead to it, itself last.
-        required: whether it has to be there.
-        kind: what its value may be, in a few words.
-        meaning: what it says, with its default.
+        required: whether it is required.
+        kind: type of its value.
+        meaning: its description, with its default.
     """
 
     path: tuple[str, ...]
@@ -158,7 +158,7 @@ class SchemaSection:
 
 
 def sections(schema: Schema) -> list[SchemaSection]:
-    """Return a schema as people read it: its keys, or those of its alternatives and definitions."""
+    """Return the keys of a schema, or those of its alternatives and definitions."""
     resolver = registry().resolver(base_uri=schema["$id"])
     if "properties" in schema:
         return [SchemaSection(None, tuple(_rows(schema, resolver)))]
@@ -198,7 +198,7 @@ def _schema_text(schema: Schema) -> str:
 
 
 def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -> Iterator[SchemaRow]:
-    """Yield everything in a map, each inner map behind its key."""
+    """Yield the rows of a map, each nested map after its key."""
     entries = dict(schema.get("properties", {}))
     if isinstance(schema.get("additionalProperties"), Mapping):
         entries["<any>"] = schema["additionalProperties"]
@@ -222,7 +222,7 @@ def _rows(schema: Schema, resolver: Resolver[Any], path: tuple[str, ...] = ()) -
 
 
 def _kind(entry: Schema, resolver: Resolver[Any]) -> str:
-    """Write what a value may be, in a few words."""
+    """Return the type of a value as short text."""
     target, at = _resolve(entry, resolver)
     if "$ref" in entry and "title" in target:
         return str(target["title"]).lower()
@@ -245,12 +245,12 @@ def _kind(entry: Schema, resolver: Resolver[Any]) -> str:
 
 
 def _is_open(entry: Schema) -> bool:
-    """Tell whether an alternative is that of a value which is known to be open."""
+    """Tell whether an alternative is that of an unknown value."""
     return str(entry.get("$ref", "")).endswith("/open")
 
 
 def _resolve(entry: Schema, resolver: Resolver[Any]) -> tuple[Schema, Resolver[Any]]:
-    """Follow a reference; return what it leads to, and what resolves the references in there."""
+    """Follow a reference; return its target and the resolver for that."""
     if "$ref" not in entry:
         return entry, resolver
     found = resolver.lookup(entry["$ref"])

@@ -1,4 +1,4 @@
-"""Words of a vocabulary: what a value may be called, with the definition, formula and source that the schema gives."""
+"""Vocabularies of keys: allowed values, with definition, formula and source from the schema."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class VocabularyValue:
-    """One word.
+    """One value of a vocabulary.
 
     Attributes:
-        name: as it is written.
+        name: the value as written.
         meaning: its definition.
-        formula, source: as the schema has them; "" where it has none.
-        known_as: what others call it, "library: name" each.
+        formula, source: those of the schema, or "".
+        known_as: its names in other libraries, "library: name" each.
     """
 
     name: str
@@ -30,7 +30,7 @@ class VocabularyValue:
 
     @property
     def description(self) -> str:
-        """Return all of it as one text, behind the name."""
+        """Return definition, formula, source and other names as one text."""
         parts = (
             self.meaning,
             self.formula and f"`{self.formula}`",
@@ -42,7 +42,7 @@ class VocabularyValue:
 
 @dataclass(frozen=True)
 class KeyVocabulary:
-    """A key whose value is one of some words."""
+    """A key and its vocabulary."""
 
     key: str
     meaning: str
@@ -50,35 +50,35 @@ class KeyVocabulary:
 
 
 def vocabularies(schema: Schema) -> list[KeyVocabulary]:
-    """Return every choice of a schema of which a word has a definition; equal ones once, in the schema's order."""
-    found: dict[tuple[str, tuple[VocabularyValue, ...]], KeyVocabulary] = {}
+    """Return the vocabularies of a schema with defined values; equal ones once, in the schema's order."""
+    vocabularies_by_key: dict[tuple[str, tuple[VocabularyValue, ...]], KeyVocabulary] = {}
     for name, entry in (("", schema), *schema.get("$defs", {}).items()):
-        for choice in _choices(entry, name):
-            found.setdefault((choice.key.rpartition(".")[2], choice.values), choice)
-    return list(found.values())
+        for vocabulary in _collect(entry, name):
+            vocabularies_by_key.setdefault((vocabulary.key.rpartition(".")[2], vocabulary.values), vocabulary)
+    return list(vocabularies_by_key.values())
 
 
 def vocabulary_values(entry: Schema, definitions: Schema) -> tuple[VocabularyValue, ...]:
-    """Return the words that an entry of a schema, or the definition that it refers to, has a definition of."""
+    """Return the defined values of a schema entry, or of the definition that it refers to."""
     if "$ref" in entry:
         return vocabulary_values(definitions.get(entry["$ref"].rpartition("/")[2], {}), definitions)
-    found = tuple(word for option in entry.get("anyOf", ()) for word in vocabulary_values(option, definitions))
-    return found or tuple(_word(one) for one in entry.get("oneOf", ()) if "const" in one and "description" in one)
+    values = tuple(value for option in entry.get("anyOf", ()) for value in vocabulary_values(option, definitions))
+    return values or tuple(_value(one) for one in entry.get("oneOf", ()) if "const" in one and "description" in one)
 
 
-def _choices(entry: Schema, place: str) -> Iterator[KeyVocabulary]:
+def _collect(entry: Schema, path: str) -> Iterator[KeyVocabulary]:
     options = [option for option in entry.get("oneOf", ()) if "const" in option]
     if options and all("description" in option for option in options):
-        yield KeyVocabulary(place, entry.get("description", ""), tuple(map(_word, options)))
+        yield KeyVocabulary(path, entry.get("description", ""), tuple(map(_value, options)))
     for option in entry.get("anyOf", ()):
-        yield from _choices(option, place)
+        yield from _collect(option, path)
     for key, inner in entry.get("properties", {}).items():
-        yield from _choices(inner, f"{place}.{key}".lstrip("."))
+        yield from _collect(inner, f"{path}.{key}".lstrip("."))
     if "items" in entry:
-        yield from _choices(entry["items"], place)
+        yield from _collect(entry["items"], path)
 
 
-def _word(option: Schema) -> VocabularyValue:
-    known = "; ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
+def _value(option: Schema) -> VocabularyValue:
+    other_names = "; ".join(f"{library}: {name}" for library, name in option.get("x-known-as", {}).items())
     formula, source = option.get("x-formula", ""), option.get("x-source", "")
-    return VocabularyValue(str(option["const"]), option["description"], formula, source, known)
+    return VocabularyValue(str(option["const"]), option["description"], formula, source, other_names)

@@ -77,7 +77,7 @@ def test_only_with_move_it_does_what_it_said(tmp_path: Path) -> None:
     for command in (("render", "a.png"), ("play", "a.webp", "--by", "random"), ("check",)):
         refused = xpl("env", command[0], str(folder), *command[1:], cwd=tmp_path)
         assert refused.returncode == ExitCode.NOT_RUN, refused.stdout
-        assert "robot may stand behind it" in refused.stderr
+        assert "may be a real robot" in refused.stderr
     assert not (folder / "moved.log").exists()
     done = xpl("audit", str(folder), "--move", "--json", "--no-cache", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stdout

@@ -1,4 +1,4 @@
-"""Checks of the zoo itself: every file fits its schema, and what two files say of one policy agrees."""
+"""Checks of the zoo: every file fits its schema, and the files of a policy agree."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SERVES = "XPL201"
 
 
 def check() -> Iterator[Problem]:
-    """Yield every fault of the zoo, by file."""
+    """Yield every problem of the zoo, by file."""
     named = set(zoo.schema("policy")["properties"]["family"]["properties"]["value"]["enum"])
     for family in sorted(named ^ set(zoo.families())):
         yield Problem(("families", family), "named in words.yml or in policy.schema.json alone", file="zoo/words.yml")
@@ -33,25 +33,25 @@ def _files(kind: str) -> Iterator[Problem]:
     from jsonschema import Draft202012Validator
 
     validator = Draft202012Validator(zoo.schema(kind))
-    place = zoo.folder() / ("policies" if kind == "policy" else "proofs")
-    for path in sorted(place.iterdir()) if place.is_dir() else ():
-        shown = f"zoo/{place.name}/{path.name}"
+    folder = zoo.folder() / ("policies" if kind == "policy" else "proofs")
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        file = f"zoo/{folder.name}/{path.name}"
         try:
-            told = _read(path)
+            entry = _read(path)
         except (yaml.YAMLError, ValueError) as error:
-            yield Problem((), f"cannot be read: {error}", file=shown)
+            yield Problem((), f"cannot be read: {error}", file=file)
             continue
-        problems = [problem for error in validator.iter_errors(told) for problem in explain(error)]
-        yield from (replace(problem, file=shown) for problem in problems)
+        problems = [problem for error in validator.iter_errors(entry) for problem in explain(error)]
+        yield from (replace(problem, file=file) for problem in problems)
         if problems:
             continue
-        if told["name"] != path.stem:
-            yield Problem(("name",), f"expected the file's name {path.stem}, got {told['name']!r}", file=shown)
-        yield from (replace(problem, file=shown) for problem in (_facts if kind == "policy" else _proof)(told))
+        if entry["name"] != path.stem:
+            yield Problem(("name",), f"expected the file's name {path.stem}, got {entry['name']!r}", file=file)
+        yield from (replace(problem, file=file) for problem in (_facts if kind == "policy" else _proof)(entry))
 
 
 def _read(path: Path) -> Any:
-    """Return what a file holds.
+    """Return the content of a file.
 
     Raises:
         ValueError: if it is no file of the zoo.
@@ -63,27 +63,27 @@ def _read(path: Path) -> Any:
     raise ValueError("no part of the zoo")
 
 
-def _facts(told: dict[str, Any]) -> Iterator[Problem]:
-    """Yield what facts of a policy contradict."""
-    adapter = told.get("adapter", {}).get("value")
-    if adapter is not None and adapter["folder"] != f"policy/{told['name']}":
-        message = f"expected policy/{told['name']}, got {adapter['folder']!r}"
+def _facts(entry: dict[str, Any]) -> Iterator[Problem]:
+    """Yield contradictions between facts of a policy."""
+    adapter = entry.get("adapter", {}).get("value")
+    if adapter is not None and adapter["folder"] != f"policy/{entry['name']}":
+        message = f"expected policy/{entry['name']}, got {adapter['folder']!r}"
         yield Problem(("adapter", "value", "folder"), message)
-    for robot in told.get("robots", {}).get("value", ()):
+    for robot in entry.get("robots", {}).get("value", ()):
         if robot not in robots.entries():
             yield Problem(("robots", "value"), f"there is no robot {robot!r}")
 
 
-def _proof(told: zoo.ZooProof) -> Iterator[Problem]:
-    """Yield what a proof says that cannot have come out of a run."""
-    if not (zoo.folder() / "policies" / f"{told['name']}.yml").is_file():
-        yield Problem(("name",), f"the zoo has no policy {told['name']!r}")
-    ran = {gate["gate"] for gate in told["gates"] if gate["digest"] is not None and _SERVES not in gate["not_run"]}
-    needed = ("static", "offline")[: told["level"]]
+def _proof(entry: zoo.ZooProof) -> Iterator[Problem]:
+    """Yield entries of a proof that no run can have produced."""
+    if not (zoo.folder() / "policies" / f"{entry['name']}.yml").is_file():
+        yield Problem(("name",), f"the zoo has no policy {entry['name']!r}")
+    ran = {gate["gate"] for gate in entry["gates"] if gate["digest"] is not None and _SERVES not in gate["not_run"]}
+    needed = ("static", "offline")[: entry["level"]]
     for gate in needed:
         if gate not in ran:
-            yield Problem(("level",), f"level {told['level']} needs the {gate} gate, which did not run")
-    if (told["level"] == len(zoo.levels()) - 1) is not (told["next"] is None):
+            yield Problem(("level",), f"level {entry['level']} needs the {gate} gate, which did not run")
+    if (entry["level"] == len(zoo.levels()) - 1) is not (entry["next"] is None):
         yield Problem(("next",), "it says why the next level is not reached, and nothing at the last one")
-    if (told["level"] == len(zoo.levels()) - 1) is not ("run" in told):
+    if (entry["level"] == len(zoo.levels()) - 1) is not ("run" in entry):
         yield Problem(("run",), "the last level has a recorded run, and no other one has")

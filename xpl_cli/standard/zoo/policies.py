@@ -1,8 +1,8 @@
-"""Policies of the field, read from `spec/zoo/`: facts with their sources, and proofs that `xpl zoo prove` wrote.
+"""Published policies, read from `spec/zoo/`: facts with sources, and proofs written by `xpl zoo prove`.
 
-spec/zoo/policies/NAME.yml   what is known of a policy, written by people
-spec/zoo/proofs/NAME.json    how far it was proven to run, written by the tool
-spec/zoo/words.yml           what levels and families are called, and mean
+spec/zoo/policies/NAME.yml   facts of a policy, written by maintainers
+spec/zoo/proofs/NAME.json    how far the policy was proven to run, written by the tool
+spec/zoo/words.yml           names and meanings of levels and families
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _READ: Final = {"robots": "embodiments", "control": "action_types", "chunk": "temporal.chunk"}
-"""Facts that a manifest says too, by its key: what a proof read there stands in for what nobody wrote down."""
+"""Facts that a manifest also has, by its key: a proof's value replaces a missing fact."""
 
 
 @dataclass(frozen=True)
 class ZooFact:
-    """What is known of one thing.
+    """A fact of a policy.
 
     Attributes:
-        value: None where it is not known.
-        source: where it was read.
-        unknown: why it is not known; None where it is.
-        note: what else a reader should know.
+        value: None if unknown.
+        source: its source.
+        unknown: why it is unknown; None if it is known.
+        note: further information.
     """
 
     value: Any = None
@@ -41,12 +41,12 @@ class ZooFact:
     note: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return it for programs."""
+        """Return the fact as JSON."""
         return {"value": self.value, "source": self.source, "unknown": self.unknown, "note": self.note}
 
 
 class Tool(TypedDict):
-    """What proved a policy; `commit` is None for an installed version."""
+    """The tool that proved a policy; `commit` is None for an installed version."""
 
     name: str
     version: str
@@ -54,7 +54,7 @@ class Tool(TypedDict):
 
 
 class ProvenAdapter(TypedDict):
-    """What was proven: an adapter in a checkout, by its commit and the hash of its files."""
+    """The proven adapter, by its commit and the hash of its files."""
 
     folder: str
     commit: str | None
@@ -62,7 +62,7 @@ class ProvenAdapter(TypedDict):
 
 
 class GateProof(TypedDict):
-    """What one gate came to; rules by their codes."""
+    """The result of one gate; rules by their codes."""
 
     gate: str
     outcome: str
@@ -75,14 +75,14 @@ class GateProof(TypedDict):
 
 
 class ManifestValue(TypedDict):
-    """What a manifest says of one key, and where."""
+    """A value of a manifest, and its source."""
 
     value: Any
     source: str
 
 
 class RecordedRun(TypedDict):
-    """The recorded run of a policy's weights."""
+    """A recorded run with a policy's weights."""
 
     run: str
     environment: str
@@ -111,10 +111,10 @@ class ZooProof(TypedDict):
 
 @dataclass(frozen=True)
 class Level:
-    """One step of how far a policy was carried.
+    """A level of proof.
 
     Attributes:
-        number: from 0.
+        number: index from 0.
         word: its name.
         meaning: one sentence without its full stop.
     """
@@ -126,14 +126,14 @@ class Level:
 
 @dataclass(frozen=True)
 class ZooPolicy:
-    """A policy of the field.
+    """A published policy.
 
     Attributes:
         name: folder of its adapter.
-        title: what people call it.
+        title: its common name.
         in_paper: whether it is in the paper's table.
-        facts: by name, every one that the schema has, in its order.
-        proof: how far it was proven; None if it was not run.
+        facts: all facts of the schema by name, in its order.
+        proof: how far it was proven; None if it was never run.
     """
 
     name: str
@@ -144,7 +144,7 @@ class ZooPolicy:
 
     @property
     def level(self) -> Level:
-        """How far it was carried."""
+        """Its level of proof."""
         return levels()[0 if self.proof is None else self.proof["level"]]
 
     @property
@@ -154,15 +154,15 @@ class ZooPolicy:
 
     @property
     def outcome(self) -> str | None:
-        """What came out where it was judged, in a few words; None where it was not."""
+        """The outcome of the gates, in a few words; None without any."""
         if self.proof is None:
             return None
         failed, silent = (
             sum(len(gate["failed"]) for gate in self.gates),
             sum(len(gate["not_run"]) for gate in self.gates),
         )
-        told = f"{_rules(failed)} failed" if failed else "nothing wrong"
-        return f"{told}, {_rules(silent)} could not run" if silent else told
+        outcome = f"{_rules(failed)} failed" if failed else "nothing wrong"
+        return f"{outcome}, {_rules(silent)} could not run" if silent else outcome
 
     @property
     def prover(self) -> str | None:
@@ -181,9 +181,9 @@ class ZooPolicy:
 
     @property
     def family(self) -> str | None:
-        """Its family; None where that is not known."""
-        told: str | None = self.facts["family"].value
-        return told
+        """Its family; None if unknown."""
+        family: str | None = self.facts["family"].value
+        return family
 
 
 def _rules(number: int) -> str:
@@ -191,18 +191,18 @@ def _rules(number: int) -> str:
 
 
 def folder() -> Path:
-    """Return where the zoo is."""
+    """Return the folder of the zoo."""
     return content_folder("spec") / "zoo"
 
 
 def proof_path(name: str) -> Path:
-    """Return where the proof of a policy is, or will be."""
+    """Return the path of a policy's proof."""
     return folder() / "proofs" / f"{name}.json"
 
 
 @cache
 def levels() -> tuple[Level, ...]:
-    """Return the levels, from nothing upwards."""
+    """Return the levels, lowest first."""
     return tuple(Level(number, **entry) for number, entry in enumerate(_vocabulary()["levels"]))
 
 
@@ -215,14 +215,14 @@ def schema(name: str) -> dict[str, Any]:
 
 @cache
 def fact_names() -> tuple[str, ...]:
-    """Return everything that may be known of a policy, in the order in which it is told."""
+    """Return the names of all facts, in their order."""
     properties = schema("policy")["properties"]
     return tuple(name for name, entry in properties.items() if entry.get("$ref") == "#/$defs/fact")
 
 
 @cache
 def policies() -> tuple[ZooPolicy, ...]:
-    """Return every policy, sorted by its name whatever its case."""
+    """Return every policy, sorted by name without regard to case."""
     found = sorted((folder() / "policies").glob("*.yml"), key=lambda path: (path.stem.lower(), path.stem))
     return tuple(_policy(path.stem) for path in found)
 
@@ -246,24 +246,26 @@ def find(name: str) -> ZooPolicy:
 
 @cache
 def families() -> dict[str, str]:
-    """Return what every family is called, by its name."""
-    told: dict[str, str] = _vocabulary()["families"]
-    return told
+    """Return the titles of all families by name."""
+    titles: dict[str, str] = _vocabulary()["families"]
+    return titles
 
 
 @cache
 def _vocabulary() -> dict[str, Any]:
-    told: dict[str, Any] = spec.read_yaml(folder() / "words.yml")
-    return told
+    vocabulary: dict[str, Any] = spec.read_yaml(folder() / "words.yml")
+    return vocabulary
 
 
 def _policy(name: str) -> ZooPolicy:
-    told = spec.read_yaml(folder() / "policies" / f"{name}.yml")
+    entry = spec.read_yaml(folder() / "policies" / f"{name}.yml")
     path = proof_path(name)
     proof: ZooProof | None = json_text.parse(path.read_bytes()) if path.is_file() else None
-    facts = {key: ZooFact(**told[key]) if key in told else ZooFact(unknown=told["otherwise"]) for key in fact_names()}
+    facts = {
+        key: ZooFact(**entry[key]) if key in entry else ZooFact(unknown=entry["otherwise"]) for key in fact_names()
+    }
     for key, manifest_key in _READ.items():
         read = None if proof is None else proof["read"].get(manifest_key)
         if read is not None and facts[key].value is None:
             facts[key] = ZooFact(read["value"], f"manifest, {read['source']}", note=facts[key].note)
-    return ZooPolicy(told["name"], told["title"], told["in_paper"], facts, proof)
+    return ZooPolicy(entry["name"], entry["title"], entry["in_paper"], facts, proof)
