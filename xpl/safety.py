@@ -179,8 +179,8 @@ class Supervisor:
         if not bent:
             self._last_command = values
             return SafetyVerdict(action)
-        held, executed = np.array(self._last_command), np.array(values)
-        corrections = tuple(found for part in bent for found in part.bound(executed, held) if found.amount > _SLACK)
+        last, executed = np.array(self._last_command), np.array(values)
+        corrections = tuple(found for part in bent for found in part.bound(executed, last) if found.amount > _SLACK)
         self._last_command = executed.tolist()
         if not corrections:
             return SafetyVerdict(action)
@@ -227,19 +227,19 @@ class _JointBounds:
     plain: Sequence[tuple[float, float, float]]
     """Of each joint its limits, and a little less than its way of one period."""
 
-    def is_plain(self, target: list[float], held: list[float]) -> bool:
+    def is_plain(self, target: list[float], last: list[float]) -> bool:
         """Tell by plain numbers that nothing has to be corrected, as in most control steps."""
         return all(
             lower <= value <= upper and abs(value - before) <= most
-            for value, before, (lower, upper, most) in zip(target[self.columns], held[self.columns], self.plain)
+            for value, before, (lower, upper, most) in zip(target[self.columns], last[self.columns], self.plain)
         )
 
-    def excess(self, flat: NDArray[np.float64], held: NDArray[np.float64], steps: float) -> tuple[float, str]:
-        past = np.abs(flat[self.columns] - held[self.columns]) - steps * self.velocity * self.period
+    def excess(self, flat: NDArray[np.float64], last: NDArray[np.float64], steps: float) -> tuple[float, str]:
+        past = np.abs(flat[self.columns] - last[self.columns]) - steps * self.velocity * self.period
         return _worst(past, self.names)
 
-    def bound(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> list[Correction]:
-        target, before, most = flat[self.columns].copy(), held[self.columns], self.velocity * self.period
+    def bound(self, flat: NDArray[np.float64], last: NDArray[np.float64]) -> list[Correction]:
+        target, before, most = flat[self.columns].copy(), last[self.columns], self.velocity * self.period
         allowed = np.clip(target, self.lower, self.upper)
         bounded = before + np.clip(allowed - before, -most, most)
         flat[self.columns] = bounded
@@ -268,48 +268,48 @@ class _PoseBounds:
         w, x, y, z = values[self.turn]
         return math.sqrt(w * w + x * x + y * y + z * z)
 
-    def excess(self, flat: NDArray[np.float64], held: NDArray[np.float64], steps: float) -> tuple[float, str]:
-        moved, turned = self._distance(flat, held)
+    def excess(self, flat: NDArray[np.float64], last: NDArray[np.float64], steps: float) -> tuple[float, str]:
+        moved, turned = self._distance(flat, last)
         reach, angle = spec.POSITION_SPEED * self.period, spec.ROTATION_SPEED * self.period
         return max(moved - steps * reach, turned - steps * angle), self.key
 
-    def bound(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> list[Correction]:
+    def bound(self, flat: NDArray[np.float64], last: NDArray[np.float64]) -> list[Correction]:
         off = abs(self.norm(flat.tolist()) - 1.0)
         if off > spec.QUATERNION_TOLERANCE:
             flat[self.turn] = rotation.normalise(flat[self.turn])
-        moved, turned = self._distance(flat, held)
+        moved, turned = self._distance(flat, last)
         far = moved - spec.POSITION_SPEED * self.period
         wide = turned - spec.ROTATION_SPEED * self.period
         if far > _SLACK:
-            before = held[self.position]
+            before = last[self.position]
             flat[self.position] = before + (flat[self.position] - before) * (1.0 - far / moved)
         if wide > _SLACK:
-            flat[self.turn] = rotation.slerp(held[self.turn], flat[self.turn], 1.0 - wide / turned)
+            flat[self.turn] = rotation.slerp(last[self.turn], flat[self.turn], 1.0 - wide / turned)
         return [
             Correction(QUATERNION_NORM, self.prefix, self.key, off if off > spec.QUATERNION_TOLERANCE else 0.0),
             Correction(POSITION_SPEED, self.prefix, self.key, far / self.period if far > _SLACK else 0.0),
             Correction(ROTATION_SPEED, self.prefix, self.key, wide / self.period if wide > _SLACK else 0.0),
         ]
 
-    def is_plain(self, target: list[float], held: list[float]) -> bool:
+    def is_plain(self, target: list[float], last: list[float]) -> bool:
         """Tell by few numbers that a pose needs no correction: most do not, and this is asked in every control step.
 
         A little inside of the bounds, where the exact way could not tell otherwise.
         """
         (x, y, z), (w, i, j, k) = target[self.position], target[self.turn]
-        (a, b, c), (p, q, r, s) = held[self.position], held[self.turn]
+        (a, b, c), (p, q, r, s) = last[self.position], last[self.turn]
         reach, least = self.plain
         moved = (x - a) * (x - a) + (y - b) * (y - b) + (z - c) * (z - c)
         norm = self.norm(target)
         return (
             moved <= reach
             and abs(norm - 1.0) <= spec.QUATERNION_TOLERANCE
-            and abs(w * p + i * q + j * r + k * s) >= least * norm * self.norm(held)
+            and abs(w * p + i * q + j * r + k * s) >= least * norm * self.norm(last)
         )
 
-    def _distance(self, flat: NDArray[np.float64], held: NDArray[np.float64]) -> tuple[float, float]:
-        moved = float(np.linalg.norm(flat[self.position] - held[self.position]))
-        return moved, float(rotation.angle_between(held[self.turn], rotation.normalise(flat[self.turn])))
+    def _distance(self, flat: NDArray[np.float64], last: NDArray[np.float64]) -> tuple[float, float]:
+        moved = float(np.linalg.norm(flat[self.position] - last[self.position]))
+        return moved, float(rotation.angle_between(last[self.turn], rotation.normalise(flat[self.turn])))
 
 
 @dataclass(frozen=True)
@@ -351,10 +351,10 @@ def _parts(
     return parts
 
 
-def _pose(prefix: str, place: slice, turn: slice, period: float) -> _PoseBounds:
+def _pose(prefix: str, position: slice, turn: slice, period: float) -> _PoseBounds:
     reach, angle = _INSIDE * spec.POSITION_SPEED * period, _INSIDE * spec.ROTATION_SPEED * period
     least = math.cos(angle / 2) if angle < math.pi else 0.0  # no turn is longer
-    return _PoseBounds(prefix, prefix + spec.State.EE_POSE, place, turn, period, (reach * reach, least))
+    return _PoseBounds(prefix, prefix + spec.State.EE_POSE, position, turn, period, (reach * reach, least))
 
 
 def _joints(arm: Arm, columns: slice, period: float) -> _JointBounds:

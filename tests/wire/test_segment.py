@@ -308,7 +308,7 @@ def test_a_system_without_memory_is_no_end(monkeypatch: pytest.MonkeyPatch) -> N
     sides = shared(room=64 << 20)
     small = passed_on(sides, np.arange(100_000))
     monkeypatch.setattr(os, "posix_fallocate", full)
-    assert sides.client.place(np.zeros(32 << 20, np.uint8)) is None
+    assert sides.client.store(np.zeros(32 << 20, np.uint8)) is None
     again = passed_on(sides, np.arange(100_000))
     assert small.tobytes() == again.tobytes()
     monkeypatch.undo()
@@ -393,7 +393,7 @@ class Sharing(RuleBasedStateMachine):
     def place(self, size: int) -> None:
         self.count += 1
         array = np.random.default_rng(self.count).integers(0, 256, size, np.uint8)
-        placed = self.sides.client.place(array)
+        placed = self.sides.client.store(array)
         tickets = self.sides.client.written()
         if placed is not None:
             self.sent.append((array, placed, *tickets))
@@ -435,7 +435,7 @@ class Sharing(RuleBasedStateMachine):
         self.sent, (self.kept, sent) = [], ([], self.sent)
         self.sides.client.answered([ticket for _, _, ticket in sent])
         assert self.sides.states() == {S["free"]}
-        assert self.sides.client.place(np.zeros(30_000, np.uint8)) is not None
+        assert self.sides.client.store(np.zeros(30_000, np.uint8)) is not None
         self.sides.close()
 
 

@@ -108,7 +108,7 @@ class Process:
         return answer["error"]
 
 
-def request(method: str, *obs: Any, place: packed.Place | None = None, **fields: Any) -> WorkerRequest:
+def request(method: str, *obs: Any, place: packed.Allocate | None = None, **fields: Any) -> WorkerRequest:
     """Return a request to call a method; `infer` takes its argument by another name."""
     payload = dict(zip(["observation" if method == "infer" else "obs"], obs, strict=False))
     return raw(method, payload, place=place, **fields)
@@ -118,7 +118,7 @@ def raw(
     method: str,
     payload: Any,
     *,
-    place: packed.Place | None = None,
+    place: packed.Allocate | None = None,
     client: int = 0,
     segment: int | None = None,
     optional: bool = False,

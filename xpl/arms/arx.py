@@ -51,20 +51,20 @@ class ArxDriver(Driver):
         """Return joints (rad) and openings (0 to 1)."""
         state: dict[str, NDArray[np.float64]] = {}
         for arm, controller in zip(self._embodiment.arms, self._arms):
-            told = (getattr(controller, "get_joint_state", None) or controller.get_state)()
-            state[arm.prefix + spec.State.ARM_JOINT_STATE] = np.array(told.pos(), dtype=np.float64)
-            opening = float(told.gripper_pos) / float(controller.get_robot_config().gripper_width)
+            raw = (getattr(controller, "get_joint_state", None) or controller.get_state)()
+            state[arm.prefix + spec.State.ARM_JOINT_STATE] = np.array(raw.pos(), dtype=np.float64)
+            opening = float(raw.gripper_pos) / float(controller.get_robot_config().gripper_width)
             state[arm.prefix + spec.State.EE_JOINT_STATE] = np.array([min(max(opening, 0.0), 1.0)])
         return Reading(state, time.monotonic())
 
     def command(self, targets: Numbers) -> None:
         """Send joint targets; the SDK interpolates and bounds torques itself."""
         for arm, controller in zip(self._embodiment.arms, self._arms):
-            wanted = self._sdk.JointState(arm.dof)
-            wanted.pos()[:] = targets[arm.prefix + spec.State.ARM_JOINT_STATE]
+            target = self._sdk.JointState(arm.dof)
+            target.pos()[:] = targets[arm.prefix + spec.State.ARM_JOINT_STATE]
             opening = float(targets[arm.prefix + spec.State.EE_JOINT_STATE][0])
-            wanted.gripper_pos = opening * float(controller.get_robot_config().gripper_width)
-            controller.set_joint_cmd(wanted)
+            target.gripper_pos = opening * float(controller.get_robot_config().gripper_width)
+            controller.set_joint_cmd(target)
 
     def estop(self) -> None:
         """Damp: the arms sink slowly and push nobody."""

@@ -80,13 +80,13 @@ class ArmEpisode(Episode):
 
     def __init__(self, setup: Setup) -> None:
         super().__init__(setup)
-        told = setup.manifest.robot or {}
-        unknown = set(told) - set(Care.__dataclass_fields__)
+        settings = setup.manifest.robot or {}
+        unknown = set(settings) - set(Care.__dataclass_fields__)
         if unknown:
             raise ValueError(
                 f"robot of env.yml has no {', '.join(unknown)}; it has {', '.join(Care.__dataclass_fields__)}"
             )
-        self.care = Care(**told)
+        self.care = Care(**settings)
         self._asks = self.care.ask and os.environ.get(people.ASKS) != "no"
         self._watch = Watch(dead_man=self.care.dead_man)
         folder = os.environ.get(RECORDS)
@@ -147,8 +147,8 @@ class ArmEpisode(Episode):
         if self._ended is not None:
             self._keep()
             return {}
-        wanted = {key: np.array(value, dtype=np.float64) for key, value in action.items()}
-        eased, corrections = self._eased(wanted)
+        targets = {key: np.array(value, dtype=np.float64) for key, value in action.items()}
+        eased, corrections = self._eased(targets)
         self._command(eased)
         self._read(cameras=bool(self.setup.cameras))
         self._judge_motion()
@@ -338,16 +338,16 @@ class ArmEpisode(Episode):
         """Return the score that a person gives: the sum of the shares up to the stage that was reached."""
         stages: Mapping[str, float] = self.setup.facts.get("stages") or {"done": 1.0}
         reason = f" It ended by {self._ended}." if self._ended else ""
-        told = people.ask(f"How far did it come?{reason}", (_NONE, *stages), self._keep)
+        answer = people.ask(f"How far did it come?{reason}", (_NONE, *stages), self._keep)
         score = 0.0
         for name, share in stages.items():
-            if told == _NONE:
+            if answer == _NONE:
                 break
             score += float(share)
-            if name == told:
+            if name == answer:
                 break
         return min(score, 1.0)
 
     def _speed(self, arm: Arm) -> NDArray[np.float64]:
-        known = arm.velocity
-        return np.full(arm.dof, spec.JOINT_SPEED) if known is None else np.asarray(known)
+        velocity = arm.velocity
+        return np.full(arm.dof, spec.JOINT_SPEED) if velocity is None else np.asarray(velocity)

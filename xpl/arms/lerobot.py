@@ -134,21 +134,21 @@ class LeRobotDriver(Driver):
     def read(self, *, cameras: bool = True) -> Reading:
         """Return joints, grippers and pictures; a frame that did not come leaves the one before, with its time."""
         try:
-            told = self._robot.get_observation()
+            raw = self._robot.get_observation()
         except Exception as error:  # noqa: BLE001 - whatever a plugin raises
             raise DriverError(f"{self._robot} does not answer: {error}") from None
         now = time.monotonic()
         try:
-            angles = np.array([float(told[key]) for key in self._joints]) * _PER[self._words.unit]
-            openings = [self._opening(float(told[key])) for key in self._grippers]
+            angles = np.array([float(raw[key]) for key in self._joints]) * _PER[self._words.unit]
+            openings = [self._opening(float(raw[key])) for key in self._grippers]
         except (KeyError, TypeError, ValueError) as error:
-            raise DriverError(f"{self._robot} says nothing of {error}; it says {', '.join(map(str, told))}") from None
+            raise DriverError(f"{self._robot} says nothing of {error}; it says {', '.join(map(str, raw))}") from None
         state: dict[str, NDArray[np.float64]] = {}
         for arm, opening in zip(self._embodiment.arms, openings):
             state[arm.prefix + spec.State.ARM_JOINT_STATE], angles = angles[: arm.dof], angles[arm.dof :]
             state[arm.prefix + spec.State.EE_JOINT_STATE] = np.array([opening])
         if cameras:
-            self._look(told, now)
+            self._look(raw, now)
         return Reading(state, now, dict(self._pictures))
 
     def command(self, targets: Numbers) -> None:
@@ -169,14 +169,14 @@ class LeRobotDriver(Driver):
         if getattr(self._robot, "is_connected", True):
             self._robot.disconnect()
 
-    def _opening(self, told: float) -> float:
-        share = (told - self._words.closed) / (self._words.open - self._words.closed)
+    def _opening(self, raw: float) -> float:
+        share = (raw - self._words.closed) / (self._words.open - self._words.closed)
         return min(max(share, spec.GRIPPER_CLOSED), spec.GRIPPER_OPEN)
 
-    def _look(self, told: Mapping[str, Any], now: float) -> None:
-        words = self._words.cameras or {key: key for key, value in told.items() if np.ndim(value) == 3}
+    def _look(self, raw: Mapping[str, Any], now: float) -> None:
+        words = self._words.cameras or {key: key for key, value in raw.items() if np.ndim(value) == 3}
         for name, key in words.items():
-            image = told.get(key)
+            image = raw.get(key)
             if image is None:
                 continue
             before = self._pictures.get(name)

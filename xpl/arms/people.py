@@ -40,63 +40,63 @@ def ask(text: str, answers: Sequence[str], meanwhile: Callable[[], None] = lambd
     folder = os.environ.get(DESK)
     if folder is None and _is_terminal():
         return _on_terminal(text, answers, meanwhile)
-    place = Path(folder or "questions")
-    place.mkdir(parents=True, exist_ok=True)
-    number = _put(place, text, answers)
+    folder_path = Path(folder or "questions")
+    folder_path.mkdir(parents=True, exist_ok=True)
+    number = _put(folder_path, text, answers)
     if folder is None:
-        sys.stderr.write(f"{text} ({' / '.join(answers)}): write the answer to {place / f'{number}{ANSWER}'}\n")
+        sys.stderr.write(f"{text} ({' / '.join(answers)}): write the answer to {folder_path / f'{number}{ANSWER}'}\n")
     while True:
-        told = _taken(place / f"{number}{ANSWER}")
-        if told is not None:
-            chosen = understood(told, answers)
+        answer = _take_answer(folder_path / f"{number}{ANSWER}")
+        if answer is not None:
+            chosen = match_answer(answer, answers)
             if chosen is not None:
                 with contextlib.suppress(OSError):
-                    (place / f"{number}{QUESTION}").unlink()
+                    (folder_path / f"{number}{QUESTION}").unlink()
                 return chosen
         meanwhile()
         time.sleep(_LOOK_S)
 
 
-def understood(told: str, answers: Sequence[str]) -> str | None:
+def match_answer(text: str, answers: Sequence[str]) -> str | None:
     """Return the answer that a person's words mean, by word, by its beginning or by number; None if none."""
-    word = told.strip().casefold()
+    word = text.strip().casefold()
     if word.isdigit() and 1 <= int(word) <= len(answers):
         return answers[int(word) - 1]
     if not word:
         return answers[0] if len(answers) == 1 else None
     exact = [answer for answer in answers if answer.casefold() == word]
-    found = exact or [answer for answer in answers if answer.casefold().startswith(word)]
-    return found[0] if len(found) == 1 else None
+    matches = exact or [answer for answer in answers if answer.casefold().startswith(word)]
+    return matches[0] if len(matches) == 1 else None
 
 
-def _put(place: Path, text: str, answers: Sequence[str]) -> str:
+def _put(folder: Path, text: str, answers: Sequence[str]) -> str:
     """Write a question that nobody else writes, whole at once; return its number."""
     for count in range(1, 100000):
         number = f"{count:03d}"
-        if (place / f"{number}{ANSWER}").exists():
+        if (folder / f"{number}{ANSWER}").exists():
             continue
-        draft = place / f".{number}-{os.getpid()}"
+        draft = folder / f".{number}-{os.getpid()}"
         draft.write_text(json.dumps({"text": text, "answers": list(answers), "pid": os.getpid()}), encoding="utf-8")
         try:
-            os.link(draft, place / f"{number}{QUESTION}")  # which fails where another process was first
+            os.link(draft, folder / f"{number}{QUESTION}")  # which fails where another process was first
         except FileExistsError:
             continue
         finally:
             draft.unlink()
         return number
-    raise RuntimeError(f"{place} is full of questions that nobody has answered")
+    raise RuntimeError(f"{folder} is full of questions that nobody has answered")
 
 
-def _taken(path: Path) -> str | None:
+def _take_answer(path: Path) -> str | None:
     """Return what an answer's file says, and keep it under another name, so that its number is not used again."""
     try:
         with path.open("rb") as stream:
-            told = stream.read(_MOST_BYTES).decode("utf-8", "replace")
+            text = stream.read(_MOST_BYTES).decode("utf-8", "replace")
     except OSError:
         return None
-    if not told.strip():  # being written; an answer that is empty on purpose is a line end
-        return told or None
-    return told
+    if not text.strip():  # being written; an answer that is empty on purpose is a line end
+        return text or None
+    return text
 
 
 def _is_terminal() -> bool:
@@ -115,7 +115,7 @@ def _on_terminal(text: str, answers: Sequence[str], meanwhile: Callable[[], None
         if not ready:
             continue
         line = sys.stdin.readline()
-        chosen = understood(line, answers)
+        chosen = match_answer(line, answers)
         if chosen is not None:
             return chosen
         if not line:  # Ctrl-D says nothing, and must not become a loop without a pause

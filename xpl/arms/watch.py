@@ -34,10 +34,10 @@ class Watch:
     """
 
     def __init__(self, path: str | None = None, *, dead_man: bool = False) -> None:
-        given = path or os.environ.get(WATCH)
-        if dead_man and not given:
+        file = path or os.environ.get(WATCH)
+        if dead_man and not file:
             raise ValueError(f"a dead-man needs a switch: set {WATCH}=FILE and run python -m xpl.arms.watch FILE")
-        self._path = Path(given) if given else None
+        self._path = Path(file) if file else None
         self._dead_man = dead_man
 
     def word(self) -> str:
@@ -46,11 +46,11 @@ class Watch:
             return GO
         try:
             with self._path.open("rb") as stream:
-                told = stream.read(20).decode("ascii", "replace").split()
+                words = stream.read(20).decode("ascii", "replace").split()
                 age = time.time() - os.fstat(stream.fileno()).st_mtime
         except OSError:
             return PAUSE if self._dead_man else GO
-        word = told[0] if told and told[0] in (GO, PAUSE, STOP) else PAUSE
+        word = words[0] if words and words[0] in (GO, PAUSE, STOP) else PAUSE
         if word == GO and self._dead_man and age > FRESH_S:
             return PAUSE
         return word

@@ -21,7 +21,7 @@ from xpl.client.connection import closed_error, handshake_error, parse_url
 from xpl.client.errors import ServerConnectionError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Endpoint, Transport
+    from xpl.client.transport import ServerEndpoint, Transport
     from xpl.contract import Observation, Payload
 
 _Value = TypeVar("_Value")
@@ -34,7 +34,7 @@ class AsyncClient(ClientBase):
     The client connects in `connect()` or `async with`. Requests of concurrent tasks run one after the other.
     """
 
-    def _transport(self, endpoint: Endpoint) -> Transport:
+    def _transport(self, endpoint: ServerEndpoint) -> Transport:
         return _AsyncTransport(endpoint)
 
     def _create_lock(self) -> None:
@@ -114,7 +114,7 @@ class AsyncClient(ClientBase):
 class _AsyncTransport:
     """A WebSocket connection whose methods suspend."""
 
-    def __init__(self, endpoint: Endpoint) -> None:
+    def __init__(self, endpoint: ServerEndpoint) -> None:
         self._endpoint = endpoint
         self._socket: Any = None
 
@@ -174,7 +174,7 @@ def _connect() -> Any:
     return connect
 
 
-def _options(connect: Any, endpoint: Endpoint, timeout: float | None) -> dict[str, Any]:
+def _options(connect: Any, endpoint: ServerEndpoint, timeout: float | None) -> dict[str, Any]:
     """Return the options for `connect` of any version of websockets from 12 on."""
     options: dict[str, Any] = {
         "compression": None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Callable
 from xpl import _spec as spec
 from xpl.client import wires
 from xpl.client.labels import UNSET, Labels, Unset, timing_overrides
-from xpl.client.transport import ConnectionOptions, ConversationSetup, Endpoint, Transport
+from xpl.client.transport import ConnectionOptions, ConversationSetup, ServerEndpoint, Transport
 
 if TYPE_CHECKING:
     import ssl
@@ -79,7 +79,7 @@ class ClientBase:
         name, wire, address = wires.resolve(url, settings)
         self._labels = Labels(evaluation_id or uuid.uuid4().hex, trial_id, action_case_id, repeat_index)
         self._create_lock()
-        endpoint = Endpoint(address, settings, None if token is None else f"{wire.scheme} {token}", ssl_context)
+        endpoint = ServerEndpoint(address, settings, None if token is None else f"{wire.scheme} {token}", ssl_context)
         setup = ConversationSetup(name, address, settings, self._labels, options, lambda: self._transport(endpoint))
         self._conversation: Conversation = _make_conversation(wire, setup)
         self._begin()
@@ -101,7 +101,7 @@ class ClientBase:
         """Create the lock that orders concurrent calls."""
         raise NotImplementedError
 
-    def _transport(self, endpoint: Endpoint) -> Transport:
+    def _transport(self, endpoint: ServerEndpoint) -> Transport:
         """Return a transport that is not open yet."""
         raise NotImplementedError
 

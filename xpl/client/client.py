@@ -21,7 +21,7 @@ from xpl.client.connection import BlockingTransport
 from xpl.client.transport import run_blocking
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Endpoint, Transport
+    from xpl.client.transport import ServerEndpoint, Transport
     from xpl.contract import Observation, Payload
 
 _Value = TypeVar("_Value")
@@ -61,7 +61,7 @@ class Client(ClientBase):
     def _create_lock(self) -> None:
         self._turn = threading.Lock()
 
-    def _transport(self, endpoint: Endpoint) -> Transport:
+    def _transport(self, endpoint: ServerEndpoint) -> Transport:
         return BlockingTransport(endpoint, self._turn)
 
     def _begin(self) -> None:

@@ -22,7 +22,7 @@ from xpl.client import wires
 from xpl.client.errors import ServerConnectionError, ServerFailedError
 
 if TYPE_CHECKING:
-    from xpl.client.transport import Endpoint
+    from xpl.client.transport import ServerEndpoint
 
 _CHUNK = 1 << 18
 _NO_TOKEN, _REFUSED = 401, 403
@@ -38,7 +38,7 @@ class BlockingTransport:
         turn: lock of the thread that uses the connection.
     """
 
-    def __init__(self, endpoint: Endpoint, turn: threading.Lock) -> None:
+    def __init__(self, endpoint: ServerEndpoint, turn: threading.Lock) -> None:
         self._endpoint = endpoint
         self._turn = turn
         self._ping_interval = endpoint.config[spec.Deploy.WS_PING_INTERVAL_S]

@@ -90,7 +90,7 @@ class Encoder:
         if self._arena is None:
             return _pack_entries(entries, message_type, None), []
         try:
-            return _pack_entries(entries, message_type, self._arena.place), self._arena.written()
+            return _pack_entries(entries, message_type, self._arena.store), self._arena.written()
         except codec.WireError:
             self._arena.answered(self._arena.written())
             raise
@@ -110,7 +110,7 @@ class Encoder:
         return {**obs, spec.Obs.VISION: smaller}
 
 
-def _pack_entries(entries: Mapping[str, Any], message_type: str, place: packed.Place | None) -> Sequence[Any]:
+def _pack_entries(entries: Mapping[str, Any], message_type: str, place: packed.Allocate | None) -> Sequence[Any]:
     try:
         return packed.encode(entries, place)
     except packed.PackingError as error:

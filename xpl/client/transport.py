@@ -38,7 +38,7 @@ class Transport(Protocol):
 
 
 @dataclass(frozen=True)
-class Endpoint:
+class ServerEndpoint:
     """Address and credentials of a connection.
 
     Attributes:

@@ -68,7 +68,7 @@ class GripperPart(Part):
 
 
 @dataclass(frozen=True)
-class GripperRange:
+class ModelGripperRange:
     """What a model says for closed and open.
 
     Attributes:
@@ -87,41 +87,41 @@ class GripperRange:
         """The two in words."""
         return self.called or f"closed {self.closed:g}, open {self.open:g}"
 
-    def scale_and_offset_from(self, other: GripperRange) -> tuple[float, float]:
+    def scale_and_offset_from(self, other: ModelGripperRange) -> tuple[float, float]:
         """Return scale and offset that lead from the numbers of another range to this one's."""
         scale = (self.open - self.closed) / (other.open - other.closed)
         return scale, self.closed - scale * other.closed
 
-    def opening_scale_and_offset(self, other: GripperRange) -> tuple[float, float]:
+    def opening_scale_and_offset(self, other: ModelGripperRange) -> tuple[float, float]:
         """Return scale and offset of an opening that another range has to see, so that its numbers are this one's."""
         span = other.open - other.closed
         return (self.open - self.closed) / span, (self.closed - other.closed) / span
 
 
-PLAIN, INVERTED = GripperRange(0, 0.0, 1.0), GripperRange(0, 1.0, 0.0)
+PLAIN, INVERTED = ModelGripperRange(0, 0.0, 1.0), ModelGripperRange(0, 1.0, 0.0)
 FIXED = (
     PLAIN,
     INVERTED,
-    GripperRange(1, -1.0, 1.0),
-    GripperRange(1, 1.0, -1.0),
-    GripperRange(2, 0.0, 100.0),
-    GripperRange(2, 100.0, 0.0),
-    GripperRange(2, 0.0, 255.0),
-    GripperRange(2, 255.0, 0.0),
+    ModelGripperRange(1, -1.0, 1.0),
+    ModelGripperRange(1, 1.0, -1.0),
+    ModelGripperRange(2, 0.0, 100.0),
+    ModelGripperRange(2, 100.0, 0.0),
+    ModelGripperRange(2, 0.0, 255.0),
+    ModelGripperRange(2, 255.0, 0.0),
 )
 """The standard's and OpenVLA's, robosuite's, percent, and Robotiq's counts."""
 
 
-def ranges(stroke: float | None) -> list[GripperRange]:
+def ranges(stroke: float | None) -> list[ModelGripperRange]:
     """Return the ranges that models were met with, for a gripper that opens by `stroke`, m, or by nobody knows what."""
     candidates = list(FIXED)
     for extra_rank, metres, of_what in ((0, stroke, "between the fingers"), (1, (stroke or 0) / 2, "of a finger")):
         if metres:
             candidates += [
-                GripperRange(extra_rank, 0.0, metres, f"metres {of_what}"),
-                GripperRange(1 + extra_rank, 0.0, 1000 * metres, f"millimetres {of_what}"),
-                GripperRange(2, 0.0, 100 * metres, f"centimetres {of_what}"),
-                GripperRange(2 + extra_rank, metres, 0.0, f"metres {of_what}, closed and open exchanged"),
+                ModelGripperRange(extra_rank, 0.0, metres, f"metres {of_what}"),
+                ModelGripperRange(1 + extra_rank, 0.0, 1000 * metres, f"millimetres {of_what}"),
+                ModelGripperRange(2, 0.0, 100 * metres, f"centimetres {of_what}"),
+                ModelGripperRange(2 + extra_rank, metres, 0.0, f"metres {of_what}, closed and open exchanged"),
             ]
     return candidates
 
@@ -154,7 +154,7 @@ def _has_fingers(entry: Block) -> bool:
     return isinstance(entry["closed"], list) or isinstance(entry["open"], list)
 
 
-def _set_range(one: GripperRange) -> EntryChange:
+def _set_range(one: ModelGripperRange) -> EntryChange:
     def change(entry: Block) -> Block | None:
         if _has_fingers(entry):
             return None  # another number of fingers is another width

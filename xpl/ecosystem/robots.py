@@ -78,12 +78,12 @@ def _redirect() -> None:
 
 def _redirected(real: Callable[..., Any]) -> Callable[..., Any]:
     def instead(*arguments: Any, **named: Any) -> Any:
-        return real(*(_place(arguments[0]), *arguments[1:]), **named) if arguments else real(**named)
+        return real(*(_redirect_path(arguments[0]), *arguments[1:]), **named) if arguments else real(**named)
 
     return instead
 
 
-def _place(path: object) -> Any:
+def _redirect_path(path: object) -> Any:
     """Return where a path leads: into our folder if it lies in an absent one."""
     if not isinstance(path, (str, os.PathLike)):
         return path

@@ -96,7 +96,7 @@ class _ScriptReader:
 
     def settings(self) -> dict[str, str]:
         """Return the keys of deploy.yml that are overridden, with their values."""
-        found: dict[str, str] = {}
+        overrides: dict[str, str] = {}
         is_within = False
         for line in self._lines:
             if line.lstrip().startswith("#"):
@@ -106,19 +106,19 @@ class _ScriptReader:
                 for pair in _PAIR.finditer(line if begins is None else line[begins.end() :]):
                     value = self._expanded(_bare(pair["value"]))
                     if value.strip("'") and "$" not in value and "`" not in value:
-                        found.setdefault(pair["name"], value)
+                        overrides.setdefault(pair["name"], value)
                 is_within = ")" not in _SUBSTITUTED.sub("", line) if begins is None or "(" in begins[0] else False
             else:
                 self._remember(line)
-        return found
+        return overrides
 
     def _on_path(self, line: str) -> Iterator[tuple[Path, bool]]:
         for found in _IN_PATH.finditer(line):
             for part in self._expanded(_bare(found["value"])).split(":"):
-                yield from self._given(part)
+                yield from self._path_entry(part)
         for found in _PARTS.finditer(line):
             for part in _words(self._expanded(found["values"])):
-                yield from self._given(part)
+                yield from self._path_entry(part)
 
     def _remember(self, line: str) -> None:
         """Take in what a line assigns, and where it goes."""
@@ -139,7 +139,7 @@ class _ScriptReader:
         elif _SETS_UP.search(line):
             yield from self._installed(".")
 
-    def _given(self, part: str) -> Iterator[tuple[Path, bool]]:
+    def _path_entry(self, part: str) -> Iterator[tuple[Path, bool]]:
         if part.strip() and "$" not in part:
             yield self._placed(part.strip()), False
 
@@ -172,13 +172,13 @@ class _ScriptReader:
                 break
         return text
 
-    def _value(self, found: re.Match[str]) -> str:
-        name = found["name"] or found["plain"]
+    def _value(self, match: re.Match[str]) -> str:
+        name = match["name"] or match["plain"]
         if name in self._values:
             return self._values[name]
         if name == _PATH:
             return ""
-        return found[0] if found["default"] is None else found["default"]
+        return match[0] if match["default"] is None else match["default"]
 
 
 def _bare(text: str) -> str:

@@ -46,7 +46,7 @@ def unpack(data: Data) -> Any:
 
     if len(data) > spec.LIMITS["frame_bytes"]:
         raise WireError(f"a message of {len(data)} bytes is over the limit of {spec.LIMITS['frame_bytes']}")
-    reader = _OpenpiReader()
+    reader = _MessageReader()
     try:
         value = msgpack.unpackb(
             data,
@@ -74,7 +74,7 @@ def _outgoing(value: object) -> Any:
     return {_ARRAY: True, _DATA: array.tobytes(), _DTYPE: array.dtype.str, _SHAPE: array.shape}
 
 
-class _OpenpiReader(Counting):
+class _MessageReader(Counting):
     """Makes values of the maps and lists of one message."""
 
     def on_map(self, entries: dict[Any, Any]) -> Any:

@@ -61,20 +61,20 @@ class OpenpiNames:
             ConfigError: if `openpi` is missing or unclear, or leaves out an input that policy.yml requires.
             UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
         """
-        told = read(config.get(KEY))
+        settings = read(config.get(KEY))
         manifest = Manifest.parse(config.get("manifest"))
         robot = config.get(spec.Deploy.ENV_CFG_TYPE)
         if not isinstance(robot, str):
             raise ConfigError(f"{spec.Deploy.ENV_CFG_TYPE} must name an embodiment, got {robot!r}")
         action_type = config.get(spec.Deploy.ACTION_TYPE) or spec.DEPLOY_DEFAULTS[spec.Deploy.ACTION_TYPE]
         made = cls(
-            names=told["names"],
+            names=settings["names"],
             embodiment=get_embodiment(robot),
             action_type=action_type,
             required=None if manifest.inputs is None else manifest.required,
             chunk=manifest.temporal.chunk,
-            gripper=gripper_ends(told.get("gripper")),
-            images=told.get("images", LAYOUTS[0]),
+            gripper=gripper_ends(settings.get("gripper")),
+            images=settings.get("images", LAYOUTS[0]),
         )
         made._check()
         return made
@@ -126,9 +126,9 @@ class OpenpiNames:
         """
         rows = answer.get(ACTIONS) if isinstance(answer, Mapping) else None
         if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.dtype.kind not in "iuf":
-            held = ", ".join(map(str, answer)) if isinstance(answer, Mapping) else type(answer).__name__
+            contents = ", ".join(map(str, answer)) if isinstance(answer, Mapping) else type(answer).__name__
             shape = f", {ACTIONS} being {rows.dtype} of {rows.shape}" if isinstance(rows, np.ndarray) else ""
-            raise ActionError(f"an answer must hold {ACTIONS}, (H, D) numbers; it holds {held}{shape}")
+            raise ActionError(f"an answer must hold {ACTIONS}, (H, D) numbers; it holds {contents}{shape}")
         if self.chunk is not None and len(rows) != self.chunk:
             raise ActionError(f"the manifest declares chunks of {self.chunk} steps, the server's have {len(rows)}")
         ours = rows.astype(np.float64)
@@ -154,10 +154,10 @@ class OpenpiNames:
             if target is None or not _bare(target, self) <= set(offered):
                 continue
             *levels, last = name.split(".")
-            place = result
+            node = result
             for level in levels:
-                place = place.setdefault(level, {})
-            place[last] = self._value(obs, target)
+                node = node.setdefault(level, {})
+            node[last] = self._value(obs, target)
         return result
 
     def actions(self, steps: Sequence[Action]) -> np.ndarray:
@@ -174,12 +174,12 @@ class OpenpiNames:
         arms = len(self.embodiment.arms)
         states = [prefix + key for prefix in self.embodiment.prefixes for key in _state_keys()]
         cameras = [*spec.CAMERAS[arms], *spec.OPTIONAL_CAMERAS]
-        known = {_INSTRUCTION, _STATE, *(f"{_STATE}.{key}" for key in states), *(f"{_VISION}.{one}" for one in cameras)}
+        valid = {_INSTRUCTION, _STATE, *(f"{_STATE}.{key}" for key in states), *(f"{_VISION}.{one}" for one in cameras)}
         used: dict[str, str] = {}
         for name, target in self.names.items():
             if target is None:
                 continue
-            if target not in known:
+            if target not in valid:
                 raise ConfigError(
                     f"{KEY}.names: {name} must stand for {_INSTRUCTION}, {_STATE}, {_STATE}.KEY or a camera of "
                     f"{self.embodiment.name} ({', '.join(cameras)}), got {target!r}"
@@ -241,10 +241,10 @@ class OpenpiNames:
         channel = 0 if self.images == "chw" else 2
         right = isinstance(value, np.ndarray) and value.ndim == 3 and value.dtype == np.uint8
         if not right or value.shape[channel] != spec.COLOR_CHANNELS:
-            wanted = "(3, H, W)" if self.images == "chw" else "(H, W, 3)"
+            expected = "(3, H, W)" if self.images == "chw" else "(H, W, 3)"
             got = f"{value.shape} {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
             raise ObservationError(
-                f"{name} must be {wanted} uint8 RGB, got {got} ({KEY}.images says in which order its axes are)"
+                f"{name} must be {expected} uint8 RGB, got {got} ({KEY}.images says in which order its axes are)"
             )
         image: np.ndarray = np.moveaxis(value, 0, -1) if self.images == "chw" else value
         return image

@@ -60,49 +60,49 @@ STYLES: dict[str, dict[str, Any]] = {
 """What openpi's example environments send: policies/droid_policy.py, libero_policy.py and aloha_policy.py there."""
 
 
-def read(given: Any) -> dict[str, Any]:
+def read(config: Any) -> dict[str, Any]:
     """Return `openpi` of deploy.yml with what its style says: `names`, and `gripper` and `images` where it says so.
 
     Raises:
         ConfigError: if it is missing or unclear.
     """
     styles = ", ".join(STYLES)
-    if given is None:
+    if config is None:
         raise ConfigError(
             f"openpi's wire has no names of the standard: `{KEY}` in deploy.yml has to say what its names mean, for "
             f"example {{style: droid}}; styles are {styles}"
         )
     keys = ("style", "names", "gripper", "images")
-    unknown = [str(key) for key in given if key not in keys] if isinstance(given, Mapping) else [repr(given)]
+    unknown = [str(key) for key in config if key not in keys] if isinstance(config, Mapping) else [repr(config)]
     if unknown:
         raise ConfigError(f"{KEY} in deploy.yml takes {', '.join(keys)}; got {', '.join(unknown)}")
-    style, names = given.get("style"), given.get("names") or {}
+    style, names = config.get("style"), config.get("names") or {}
     if style is not None and style not in STYLES:
         raise ConfigError(f"{KEY}.style must be one of {styles}, got {style!r}")
     if not isinstance(names, Mapping) or not all(isinstance(name, str) for name in names):
         raise ConfigError(f"{KEY}.names must map openpi's names to inputs, got {names!r}")
     base: dict[str, Any] = STYLES[style] if style is not None else {"names": {}}
-    told = {**base, **{key: value for key, value in given.items() if value is not None}}
+    settings = {**base, **{key: value for key, value in config.items() if value is not None}}
     # One that was given another meaning leaves the style's; the input goes with the name that was given for it.
     kept = {name: target for name, target in base["names"].items() if target not in names.values()}
-    told["names"] = {**kept, **names}
-    if not any(told["names"].values()):
+    settings["names"] = {**kept, **names}
+    if not any(settings["names"].values()):
         raise ConfigError(f"{KEY} in deploy.yml needs a style ({styles}) or names")
-    if told.get("images", LAYOUTS[0]) not in LAYOUTS:
-        raise ConfigError(f"{KEY}.images must be one of {', '.join(LAYOUTS)}, got {told['images']!r}")
-    return told
+    if settings.get("images", LAYOUTS[0]) not in LAYOUTS:
+        raise ConfigError(f"{KEY}.images must be one of {', '.join(LAYOUTS)}, got {settings['images']!r}")
+    return settings
 
 
-def gripper_ends(given: object) -> tuple[float, float]:
+def gripper_ends(value: object) -> tuple[float, float]:
     """Return what a gripper's value is when it is closed, and when it is open.
 
     Raises:
         ConfigError: unless two different numbers are given.
     """
-    if given is None:
+    if value is None:
         return spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN
-    ends = [given.get(key) for key in (_CLOSED, _OPEN)] if isinstance(given, Mapping) and len(given) == 2 else []
+    ends = [value.get(key) for key in (_CLOSED, _OPEN)] if isinstance(value, Mapping) and len(value) == 2 else []
     numbers = [float(end) for end in ends if isinstance(end, (int, float)) and not isinstance(end, bool)]
     if len(numbers) != 2 or numbers[0] == numbers[1] or not np.isfinite(numbers).all():
-        raise ConfigError(f"{KEY}.gripper must be {{closed: NUMBER, open: another NUMBER}}, got {given!r}")
+        raise ConfigError(f"{KEY}.gripper must be {{closed: NUMBER, open: another NUMBER}}, got {value!r}")
     return numbers[0], numbers[1]

@@ -129,10 +129,10 @@ def load(path: str | Path) -> str:
     except ImportError:
         raise RuntimeError(f"reading {path} takes PyYAML: pip install PyYAML, or write it as .json") from None
     try:
-        told = yaml.safe_load(content)
+        document = yaml.safe_load(content)
     except yaml.YAMLError as error:
         raise RobotError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    return offer(_map(told, str(path)), str(path))
+    return offer(_map(document, str(path)), str(path))
 
 
 @cache
@@ -184,10 +184,10 @@ def _listen() -> None:
         return
     _heard[:] = [handed]
     try:
-        told = json_text.parse(handed)
+        entries = json_text.parse(handed)
     except ValueError:
         raise RobotError(f"{HANDED_ON} is not what the tool writes; unset it") from None
-    for where, entry in told:
+    for where, entry in entries:
         if not any(faults(entry)) and entry["name"] not in _fixed():
             _offered.setdefault(entry["name"], (where, entry))
 
@@ -212,7 +212,7 @@ def _whose(name: str) -> str:
     return "comes with xpl" if where == OURS else f"{where} describes"
 
 
-def _map(told: object, where: str) -> Mapping[str, Any]:
-    if not isinstance(told, Mapping):
-        raise RobotError(f"{where}: expected a map that describes a robot, got {type(told).__name__}")
-    return told
+def _map(value: object, where: str) -> Mapping[str, Any]:
+    if not isinstance(value, Mapping):
+        raise RobotError(f"{where}: expected a map that describes a robot, got {type(value).__name__}")
+    return value

@@ -57,10 +57,10 @@ def prepare(package: Path, kind: str) -> None:
     config = _config()
     settings = make_policy_config(kind, **{**config["lerobot"], "device": "cpu", "push_to_hub": False})
     steps = settings.action_delta_indices
-    found = demonstrations(config)
-    numbers = statistics(package, config, found, horizon=len(steps), first=steps[0])
+    episodes = demonstrations(config)
+    numbers = statistics(package, config, episodes, horizon=len(steps), first=steps[0])
     policy = without_model(package, config, normalized=False)
-    with found[0] as episode:
+    with episodes[0] as episode:
         policy.update_obs({**episode.observation(0), spec.Obs.ENV_IDX: 0})
     inputs = policy.encodings(0)[-1]
     for image in policy.interface.images if policy.interface else ():
@@ -68,14 +68,14 @@ def prepare(package: Path, kind: str) -> None:
         numbers[image.name] = {"mean": mean, "std": std}
     settings.input_features = {name: PolicyFeature(_feature(name), np.shape(value)) for name, value in inputs.items()}
     settings.output_features = {ACTION: PolicyFeature(_feature(ACTION), numbers[ACTION]["mean"].shape)}
-    told = {key: _tensors(_still(value) if "min" in value else value) for key, value in numbers.items()}
+    tensors = {key: _tensors(_still(value) if "min" in value else value) for key, value in numbers.items()}
     target = checkpoint_folder(package, config)
     target.mkdir(parents=True, exist_ok=True)
     (target / _STATE_FILE).unlink(missing_ok=True)  # of a training on other numbers
     settings._save_pretrained(target)  # noqa: SLF001 - what LeRobot's own training calls
-    for pipeline in make_pre_post_processors(settings, dataset_stats=told):
+    for pipeline in make_pre_post_processors(settings, dataset_stats=tensors):
         pipeline.save_pretrained(target)
-    print(f"{len(found)} episodes, {int(numbers[ACTION]['count'][0])} steps: {target}")  # noqa: T201
+    print(f"{len(episodes)} episodes, {int(numbers[ACTION]['count'][0])} steps: {target}")  # noqa: T201
 
 
 def train(package: Path) -> None:
@@ -132,8 +132,8 @@ def train(package: Path) -> None:
 
 def demonstrations(config: Config) -> Folder:
     """Return the set, or the sets as one, that `demonstrations` of deploy.yml names."""
-    given = config.get("demonstrations") or "../../demos"
-    folders = [open_folder(Path(one).expanduser()) for one in ([given] if isinstance(given, str) else given)]
+    paths = config.get("demonstrations") or "../../demos"
+    folders = [open_folder(Path(one).expanduser()) for one in ([paths] if isinstance(paths, str) else paths)]
     return open_files([one.path for folder in folders for one in folder][: config.get("episodes")])
 
 
@@ -145,17 +145,21 @@ def checkpoint_folder(package: Path, config: Config) -> Path:
 class TrainingData:
     """All windows on the device, images as bytes; vectors are shown with a little noise, as the robot strays, too."""
 
-    def __init__(self, found: Windows, device: Any, noise: float) -> None:
+    def __init__(self, windows: Windows, device: Any, noise: float) -> None:
         import torch
 
         self.device, self.noise = device, noise
-        self.inputs = {name: torch.as_tensor(value, device=device) for name, value in found.inputs.items()}
+        self.inputs = {name: torch.as_tensor(value, device=device) for name, value in windows.inputs.items()}
         self.pixels = {
             name: [torch.as_tensor(part, device=device) for part in (look.scale, look.low, look.mean, look.std)]
-            for name, look in found.pixels.items()
+            for name, look in windows.pixels.items()
         }
-        self.history_rows = {name: torch.as_tensor(value, device=device) for name, value in found.history_rows.items()}
-        self.targets, self.padded = (torch.as_tensor(value, device=device) for value in (found.targets, found.padded))
+        self.history_rows = {
+            name: torch.as_tensor(value, device=device) for name, value in windows.history_rows.items()
+        }
+        self.targets, self.padded = (
+            torch.as_tensor(value, device=device) for value in (windows.targets, windows.padded)
+        )
 
     def batch(self, rows: Any) -> dict[str, Any]:
         """Return what LeRobot's `forward` takes, of the rows (B,), a tensor."""
@@ -291,9 +295,9 @@ def _tensors(numbers: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def _curve(path: Path, step: int) -> TextIO:
     """Open the curve, without what a killed run told after it was saved for the last time."""
-    told = path.read_text().splitlines(keepends=True) if path.exists() else []
-    kept = [line for line in told if line.endswith("\n") and json_text.parse(line)["step"] <= step]
-    _write_atomically(path, lambda part: part.write_text("".join(kept)))
+    lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+    complete = [line for line in lines if line.endswith("\n") and json_text.parse(line)["step"] <= step]
+    _write_atomically(path, lambda part: part.write_text("".join(complete)))
     return path.open("a")
 
 

@@ -141,14 +141,14 @@ def read_all(
 
 def _history_rows(history: History, starts: np.ndarray) -> np.ndarray:
     """Return (N, T) int64: row indices of each control step's history; -1 for zero padding."""
-    wanted, first = _rows_of_history(history, starts)
-    return np.where(wanted < first, -1 if history.pads_with_zeros else first, wanted)
+    rows, first = _rows_of_history(history, starts)
+    return np.where(rows < first, -1 if history.pads_with_zeros else first, rows)
 
 
 def _history_mask(history: History, starts: np.ndarray) -> np.ndarray:
     """Return (N, T) float32: 1 for observations of the episode, 0 for padding."""
-    wanted, first = _rows_of_history(history, starts)
-    return (wanted >= first).astype(np.float32)
+    rows, first = _rows_of_history(history, starts)
+    return (rows >= first).astype(np.float32)
 
 
 def _rows_of_history(history: History, starts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -251,8 +251,8 @@ def _pixels(sets: Sequence[RecordedSet]) -> dict[str, Pixels] | None:
         sets: the data set with the adapter, and with the same adapter whose images stay uint8.
     """
     interface = _interface(sets[0].policy)
-    found = {item.name: Pixels(*item.scaling) for item in interface.images if not item.is_bytes}
-    if not found:
+    scalings = {item.name: Pixels(*item.scaling) for item in interface.images if not item.is_bytes}
+    if not scalings:
         return {}
     made = []
     for one in sets:
@@ -263,9 +263,9 @@ def _pixels(sets: Sequence[RecordedSet]) -> dict[str, Pixels] | None:
         one.policy.reset()
     exact = all(
         name in made[1] and made[1][name].dtype == np.uint8 and _same(pixel.numbers(made[1][name]), made[0][name])
-        for name, pixel in found.items()
+        for name, pixel in scalings.items()
     )
-    return found if exact else None
+    return scalings if exact else None
 
 
 def _same(one: np.ndarray, other: Any) -> bool:

@@ -183,8 +183,8 @@ def decode(data: Data) -> Frame:
     _check_envelope(fields)
     if depth(fields[spec.Frame.PAYLOAD]) > spec.LIMITS["nesting"]:
         raise WireError(f"the payload is nested deeper than {spec.LIMITS['nesting']} levels", _identifiers(fields))
-    known: dict[str, Any] = {name: fields.get(name) for name in _ENVELOPE}
-    return Frame(**known)
+    envelope: dict[str, Any] = {name: fields.get(name) for name in _ENVELOPE}
+    return Frame(**envelope)
 
 
 def _bytes_header(size: int) -> bytes:
@@ -217,10 +217,10 @@ def _check_envelope(fields: Mapping[str, Any]) -> None:
     for name, allowed in _ENVELOPE.items():
         value = fields.get(name)
         if not _is(value, allowed):
-            wanted = " or ".join("nil" if kind is _NONE else kind.__name__ for kind in allowed)
+            expected = " or ".join("nil" if kind is _NONE else kind.__name__ for kind in allowed)
             got = f"{len(value)} characters" if isinstance(value, str) and str in allowed else type(value).__name__
             most = f" of at most {spec.LIMITS['identifier']} characters" if str in allowed else ""
-            raise WireError(f"frame field {name} must be {wanted}{most}, got {got}", _identifiers(fields))
+            raise WireError(f"frame field {name} must be {expected}{most}, got {got}", _identifiers(fields))
 
 
 def _identifiers(fields: Mapping[str, Any]) -> dict[str, Any]:

@@ -73,12 +73,12 @@ def describe(error: BaseException, frames: object = None) -> dict[str, str]:
     kind = name_of(error)
     message = text_of(error)
     if isinstance(error, SystemExit):
-        message = f"the adapter called sys.exit({_shown(error.code)})"
+        message = f"the adapter called sys.exit({_printable(error.code)})"
     try:
-        told = _traceback(error, frames or error.__traceback__, f"{kind}: {message}\n")
+        trace_text = _traceback(error, frames or error.__traceback__, f"{kind}: {message}\n")
     except BaseException as problem:  # noqa: BLE001 - as above
-        told = f"{kind}: {message}\n(its traceback cannot be had: {name_of(problem)})\n"
-    return {"type": kind, "message": message or kind, "traceback": sendable(told, TRACEBACK)}
+        trace_text = f"{kind}: {message}\n(its traceback cannot be had: {name_of(problem)})\n"
+    return {"type": kind, "message": message or kind, "traceback": sendable(trace_text, TRACEBACK)}
 
 
 def _traceback(error: BaseException, frames: Any, last: str) -> str:
@@ -86,11 +86,11 @@ def _traceback(error: BaseException, frames: Any, last: str) -> str:
 
     The standard library goes through all of them before it tells of one, and reads each source to its end.
     """
-    told = _related(error)
-    for one in told:
+    related = _related(error)
+    for one in related:
         _hide_odd_sources(one.__traceback__)
     _hide_odd_sources(frames)
-    if len(told) <= _CAUSES:
+    if len(related) <= _CAUSES:
         return "".join(traceback.format_exception(type(error), error, frames))
     head = "Traceback (most recent call last; its causes and members are more than can be told):\n"
     return head + "".join(traceback.format_tb(frames)) + last
@@ -101,17 +101,17 @@ def _related(error: BaseException) -> list[BaseException]:
 
     The standard library follows a cause that it has met no further, and a member again each time.
     """
-    found: list[BaseException] = []
-    seen, new = {id(error)}, [error]
-    while new and len(found) <= _CAUSES:
+    related: list[BaseException] = []
+    visited, new = {id(error)}, [error]
+    while new and len(related) <= _CAUSES:
         one = new.pop()
-        found.append(one)
+        related.append(one)
         new += [member for member in getattr(one, "exceptions", ())[: _CAUSES + 1] if isinstance(member, BaseException)]
         for other in (one.__cause__, one.__context__):
-            if other is not None and id(other) not in seen:
-                seen.add(id(other))
+            if other is not None and id(other) not in visited:
+                visited.add(id(other))
                 new.append(other)
-    return found
+    return related
 
 
 def _hide_odd_sources(frames: TracebackType | None) -> None:
@@ -141,7 +141,7 @@ def sendable_tree(value: object, level: int = 0) -> Any:
     return text_of(value)
 
 
-def _shown(value: object) -> str:
+def _printable(value: object) -> str:
     try:
         return sendable(repr(value))
     except BaseException as error:  # noqa: BLE001 - as above

@@ -27,10 +27,10 @@ from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, l
 
 __all__ = [
     "PREFIX_BYTES",
+    "Allocate",
     "Find",
     "PackingError",
     "PackingLimits",
-    "Place",
     "decode",
     "encode",
     "lengths",
@@ -66,25 +66,25 @@ class PackingLimits:
 
 _NO_LIMITS = PackingLimits(1 << 62, BODY_LIMIT)
 
-Place = Callable[[np.ndarray], Optional[tuple[int, int]]]
+Allocate = Callable[[np.ndarray], Optional[tuple[int, int]]]
 """Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
 Find = Callable[[int, int, "np.dtype[np.generic]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
 
-def encode(value: object, place: Place | None = None, limits: PackingLimits = _NO_LIMITS) -> list[Data]:
+def encode(value: object, allocate: Allocate | None = None, limits: PackingLimits = _NO_LIMITS) -> list[Data]:
     """Return the pieces of one message; arrays are not copied unless they are small or not contiguous.
 
     Args:
         value: maps, lists, tuples, text, numbers, None, byte strings, numpy arrays and scalars, torch tensors.
-        place: puts large arrays into shared memory.
-        limits: what it may hold; more than that is refused before it is gone through.
+        allocate: stores large arrays in shared memory.
+        limits: limits of the value; a larger one is refused before it is traversed.
 
     Raises:
-        PackingError: for any other type, for text that is no Unicode, for arrays of objects or dates, and for more than
-            fits.
+        PackingError: the value has another type, text that is no Unicode, arrays of objects or dates, or exceeds the
+            limits.
     """
-    writer = _PackedWriter(place, limits)
+    writer = _PackedWriter(allocate, limits)
     try:
         text = _to_json(writer.tree(value)).encode()
     except RecursionError:
@@ -136,8 +136,8 @@ def map_key(key: object) -> str:
 class _PackedWriter:
     """Turns a value into a tree for the header and the pieces of the body."""
 
-    def __init__(self, place: Place | None, limits: PackingLimits) -> None:
-        self._place = place
+    def __init__(self, allocate: Allocate | None, limits: PackingLimits) -> None:
+        self._allocate = allocate
         self._limits = limits
         self._left = limits.entries
         self.pieces: list[Data] = []
@@ -176,9 +176,9 @@ class _PackedWriter:
 
     def _array(self, value: object) -> Any:
         self._count(_ARRAY_ENTRIES)
-        if self._place is not None and isinstance(value, np.ndarray) and value.nbytes >= spec.LIMITS["shared_array"]:
+        if self._allocate is not None and isinstance(value, np.ndarray) and value.nbytes >= spec.LIMITS["shared_array"]:
             array = as_array(value)
-            placed = self._place(array)
+            placed = self._allocate(array)
             if placed is not None:
                 return {_SHARED: [*placed, describe_dtype(array.dtype), array.shape]}
         else:
@@ -240,30 +240,32 @@ class _PackedReader:
         if not isinstance(tree, dict):
             return tree
         if len(tree) == 1:
-            ((mark, given),) = tree.items()
+            ((mark, entry),) = tree.items()
             if mark in _MARKS:
-                return self._marked(mark, given)
+                return self._marked(mark, entry)
         return {
             key[1:] if key.startswith(_ESCAPE) else key: (self.value(item) if isinstance(item, (dict, list)) else item)
             for key, item in tree.items()
         }
 
-    def _marked(self, mark: str, given: Any) -> Any:
+    def _marked(self, mark: str, entry: Any) -> Any:
         if mark == _ARRAY:
-            offset, description, shape = given
+            offset, description, shape = entry
             array = self._at(offset, description, () if shape is None else shape)
             return array[()] if shape is None else array
         if mark == _ROWS:
-            return self._rows(given)
+            return self._rows(entry)
         if mark == _SHARED:
-            block, offset, description, shape = given
+            block, offset, description, shape = entry
             if self._find is None:
                 raise PackingError("an array lies in shared memory, but none was agreed on")
             return self._find(block, offset, parse_dtype(description), shape)
-        return bytes(self._cut(*given))
+        return bytes(self._cut(*entry))
 
-    def _rows(self, given: Any) -> list[dict[str, np.ndarray]]:
-        columns = {key[1:] if key.startswith(_ESCAPE) else key: self._at(*place) for key, place in given.items()}
+    def _rows(self, columns_by_key: Any) -> list[dict[str, np.ndarray]]:
+        columns = {
+            key[1:] if key.startswith(_ESCAPE) else key: self._at(*place) for key, place in columns_by_key.items()
+        }
         # Without content a few bytes could stand for any number of rows.
         if len({len(column) for column in columns.values()}) != 1 or not all(map(np.size, columns.values())):
             raise PackingError("the columns of a packed list differ in length, or are empty")

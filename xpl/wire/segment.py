@@ -154,7 +154,7 @@ class Arena:
         self.answer = secrets.token_bytes(_TOKEN)
         self._map[_TOKEN : 2 * _TOKEN] = self.answer
 
-    def place(self, array: np.ndarray) -> tuple[int, int] | None:
+    def store(self, array: np.ndarray) -> tuple[int, int] | None:
         """Copy an array into a free block; return block and offset, or None where there is no room."""
         offset = self._gap(array.nbytes)
         if offset is None or not self._spare or not self._reserve(offset + array.nbytes):
@@ -211,12 +211,12 @@ class Arena:
     def _reserve(self, end: int) -> bool:
         """Take memory up to `end` from the system: to write where there is none would end the process."""
         if end > self._taken_to:
-            wanted = min(self._size, end + -end % _GRAIN)
+            new_end = min(self._size, end + -end % _GRAIN)
             try:
-                _take(self._file, self._taken_to, wanted - self._taken_to)
+                _take(self._file, self._taken_to, new_end - self._taken_to)
             except OSError:
                 return False
-            self._taken_to = wanted
+            self._taken_to = new_end
         return True
 
 
@@ -277,8 +277,8 @@ class Window:
 
 
 def _check_own(file: int) -> None:
-    known = os.fstat(file)
-    if not stat.S_ISREG(known.st_mode) or known.st_uid != os.geteuid() or known.st_mode & 0o077:
+    status = os.fstat(file)
+    if not stat.S_ISREG(status.st_mode) or status.st_uid != os.geteuid() or status.st_mode & 0o077:
         raise SegmentError("shared memory must be a plain file of this user, closed to others")
 
 

@@ -46,8 +46,10 @@ class WatchedModel:
         self._last: tuple[str, Any] | None = None
 
     def __getattr__(self, name: str) -> Any:
-        found = getattr(self._model, name)
-        return functools.partial(self._watch, name, found) if name in _WATCHED and callable(found) else found
+        attribute = getattr(self._model, name)
+        return (
+            functools.partial(self._watch, name, attribute) if name in _WATCHED and callable(attribute) else attribute
+        )
 
     def watched_notes(self) -> list[dict[str, str]]:
         """Return what was noted so far: `what` (a kind), `method` and `key`, and for shared memory `with`."""
@@ -81,8 +83,8 @@ class WatchedModel:
     def _watch(self, name: str, operation: Callable[..., Any], *arguments: Any) -> Any:
         if name in _SHOWING:
             self._last = (name, copy_value(arguments[0]))
-            shown = arguments[0] if isinstance(arguments[0], list) else [arguments[0]]
-            self._watched.extend(map(_WatchedObservation, shown))
+            observations = arguments[0] if isinstance(arguments[0], list) else [arguments[0]]
+            self._watched.extend(map(_WatchedObservation, observations))
         try:
             result = operation(*arguments)
         finally:
@@ -107,13 +109,13 @@ class _WatchedObservation:
 
     def __init__(self, obs: object) -> None:
         self._obs = obs
-        self._held = _fingerprints(obs)
+        self._fingerprints = _fingerprints(obs)
 
     def changes(self) -> list[str]:
         """Return the keys whose values changed since the last call."""
         now = _fingerprints(self._obs)
-        changed = [key for key in {**self._held, **now} if self._held.get(key) != now.get(key)]
-        self._held = now
+        changed = [key for key in {**self._fingerprints, **now} if self._fingerprints.get(key) != now.get(key)]
+        self._fingerprints = now
         return sorted(map(format_path, changed))
 
     def sharing(self, array: np.ndarray) -> str | None:

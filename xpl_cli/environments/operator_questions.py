@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import json_text
-from xpl.arms.people import ANSWER, DESK, QUESTION, understood
+from xpl.arms.people import ANSWER, DESK, QUESTION, match_answer
 from xpl_cli.basics import console
 from xpl_cli.basics.untrusted import one_line
 
@@ -77,7 +77,7 @@ def open_questions(folder: Path) -> dict[str, dict[str, Any]]:
 def answer_question(folder: Path, number: str, words: str) -> str | None:
     """Answer a question; return the matching answer, None if it is none of the question's."""
     question = open_questions(folder).get(number)
-    chosen = None if question is None else understood(words, question["answers"])
+    chosen = None if question is None else match_answer(words, question["answers"])
     if chosen is not None:
         draft = folder / f".{number}{ANSWER}"
         draft.write_text(f"{chosen}\n", encoding="utf-8")

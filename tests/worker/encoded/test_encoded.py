@@ -114,7 +114,7 @@ def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool
         return [_seen(seen, *own, turned=turned)]
 
     wanted = {"filter": "area"}
-    resized = pictures.Resized(encode, obs)
+    resized = pictures.ResizedInputs(encode, obs)
     shown = resized(obs, [{"resize": wanted}])
     assert np.allclose(encode(shown)[0], _seen(obs, {"resize": {**wanted, "to": [18, 18]}}, turned=turned))
     same = resized(obs, [{kind: how} for step in own for kind, how in step.items()])
@@ -124,9 +124,9 @@ def test_pictures_get_their_size_before_the_adapter(own: list[Any], turned: bool
 def test_an_adapter_without_pictures_or_with_ways_of_its_own_is_left() -> None:
     obs = observation("franka_single", 3, (48, 64))
     with pytest.raises(NoEffectError, match="no pictures"):
-        pictures.Resized(lambda _: np.ones(3), obs)
+        pictures.ResizedInputs(lambda _: np.ones(3), obs)
     with pytest.raises(NoEffectError, match="the adapter changes pictures"):
-        pictures.Resized(lambda seen: _seen(seen, {"crop": {"fraction": 0.5}}, STRETCH), obs)
+        pictures.ResizedInputs(lambda seen: _seen(seen, {"crop": {"fraction": 0.5}}, STRETCH), obs)
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def _rotations(count: int = 5) -> np.ndarray:
 def test_two_vectors_are_written_otherwise(turn: str, written: Any, wanted: Any) -> None:
     matrices = rotation.to_matrix(_rotations())
     encoded = [{"s": np.concatenate(([0.3, 0.2 * place], written(one), [0.9]))} for place, one in enumerate(matrices)]
-    change = turns.Turned(encoded, {"turn": turn})
+    change = turns.RotatedInputs(encoded, {"turn": turn})
     for value, one in zip(encoded, matrices, strict=True):
         assert np.allclose(change(value)["s"][2:8], wanted(one))
         assert (change(value)["s"][[0, 1, 8]] == value["s"][[0, 1, 8]]).all()
@@ -194,14 +194,14 @@ def test_quaternions_are_written_otherwise(turn: str, wanted: Any) -> None:
         np.concatenate(([5.0], one, [2.0, 0.0, 0.0, 1.0, 0.0], other))
         for one, other in zip(_rotations(), _rotations(), strict=True)
     ]
-    change = turns.Turned(encoded, {"turn": turn})
+    change = turns.RotatedInputs(encoded, {"turn": turn})
     for value in encoded:
         result = change(value)
         assert np.allclose(result[1:5], wanted(value[1:5]))
         assert np.allclose(result[10:], wanted(value[10:]))
         assert result[5:10].tolist() == value[5:10].tolist()
     with pytest.raises(NoEffectError, match="no such rotation"):
-        turns.Turned([RNG.uniform(2, 3, 8) for _ in range(4)], {"turn": turn})
+        turns.RotatedInputs([RNG.uniform(2, 3, 8) for _ in range(4)], {"turn": turn})
 
 
 def test_some_numbers_are_scaled() -> None:

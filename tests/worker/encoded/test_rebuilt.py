@@ -10,7 +10,7 @@ import pytest
 from xpl.catalogue.walk import NoEffectError
 from xpl.convert.images import ImageInput
 from xpl.resample import resize
-from xpl.worker.encoded.rebuilt import Rebuilt
+from xpl.worker.encoded.rebuilt import RebuiltImages
 
 RNG = np.random.default_rng(3)
 CAMERAS = ("cam_head", "cam_wrist")
@@ -39,7 +39,7 @@ def test_numbers_colours_and_orientation_stay() -> None:
         wrist = _cut(obs, "cam_wrist")[::-1].transpose(2, 0, 1).astype(np.float32) / 255
         return {"head": head, "more": [wrist, np.ones(5)]}
 
-    result = Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS)
+    result = RebuiltImages(encode, OBS)(encode(OBS), OBS, STEPS)
     assert np.allclose(result["head"], _right("cam_head")[..., ::-1] / 127.5 - 1, atol=1e-6)
     assert np.allclose(result["more"][0], _right("cam_wrist")[::-1].transpose(2, 0, 1) / 255, atol=1e-6)
     assert result["head"].dtype == np.float32
@@ -51,21 +51,21 @@ def test_two_in_one_and_bytes() -> None:
         return np.hstack([_cut(obs, camera)[::-1, ::-1] for camera in CAMERAS[::-1]])
 
     wanted = np.hstack([_right(camera)[::-1, ::-1] for camera in CAMERAS[::-1]])
-    result = Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS)
+    result = RebuiltImages(encode, OBS)(encode(OBS), OBS, STEPS)
     assert np.array_equal(result, wanted)
     with pytest.raises(NoEffectError, match="several pictures"):
-        Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS, exchanged=True)
+        RebuiltImages(encode, OBS)(encode(OBS), OBS, STEPS, exchanged=True)
 
 
 def test_height_and_width_exchanged() -> None:
     def encode(obs: Any) -> Any:
         return np.stack([_cut(obs, camera).transpose(2, 0, 1) for camera in CAMERAS])
 
-    result = Rebuilt(encode, OBS)(encode(OBS), OBS, STEPS, exchanged=True)
+    result = RebuiltImages(encode, OBS)(encode(OBS), OBS, STEPS, exchanged=True)
     assert np.array_equal(result, np.stack([_right(one, SIZE[::-1]).transpose(2, 0, 1) for one in CAMERAS]))
 
 
 def test_what_sees_nothing_is_left() -> None:
     for made in (np.ones(7), np.ones((*SIZE, 3))):
         with pytest.raises(NoEffectError):
-            Rebuilt(lambda _obs, made=made: made, OBS)
+            RebuiltImages(lambda _obs, made=made: made, OBS)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from xpl.worker.encoded.repeats import Once
+from xpl.worker.encoded.repeats import StepOncePerObservation
 
 
 class Cell:
@@ -38,7 +38,7 @@ class Model:
 
 
 def test_a_step_from_the_state_that_the_step_before_led_to_is_left_out() -> None:
-    model, once = Model(), Once()
+    model, once = Model(), StepOncePerObservation()
     seen, hidden = np.ones(2), np.zeros(2)
     with once.around(model):
         first, hidden = model.cell.step(hidden, seen)
@@ -50,7 +50,7 @@ def test_a_step_from_the_state_that_the_step_before_led_to_is_left_out() -> None
 
 
 def test_a_state_that_the_model_keeps_to_itself_is_advanced_once() -> None:
-    model, once = Model(), Once()
+    model, once = Model(), StepOncePerObservation()
     with once.around(model):
         for seen in (np.ones(2), np.ones(2), np.full(2, 0.5)):
             model.cell.advance(seen)
@@ -61,7 +61,7 @@ def test_a_state_that_the_model_keeps_to_itself_is_advanced_once() -> None:
 @pytest.mark.parametrize("hidden", [np.full(2, 7.0), np.zeros(3)])
 def test_another_state_is_another_call(hidden: Any) -> None:
     """Of a second environment that shows the same."""
-    model, once = Model(), Once()
+    model, once = Model(), StepOncePerObservation()
     with once.around(model):
         model.cell.step(np.zeros(2), np.ones(2))
         model.cell.step(hidden, np.ones(len(hidden)))

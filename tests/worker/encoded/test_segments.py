@@ -10,7 +10,7 @@ import pytest
 from tests.support.adapters.model_io import observation
 from xpl.catalogue.walk import NoEffectError
 from xpl.policy import Policy
-from xpl.worker.encoded.segments import Segments
+from xpl.worker.encoded.segments import RenormalizedSegments
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -34,7 +34,7 @@ def test_a_part_is_normalised_otherwise(*, half: bool, turned: bool) -> None:
     model = type("Model", (Policy,), {"__module__": __name__})(
         {"env_cfg_type": "franka_single", "action_type": "joint"}
     )
-    segments = Segments(model, lambda obs: _encoded(obs, half=half, turned=turned), SAMPLES)
+    segments = RenormalizedSegments(model, lambda obs: _encoded(obs, half=half, turned=turned), SAMPLES)
     wanted = _encoded(SAMPLES[0], half=False, turned=False)
     made = []
     for number in range(100):

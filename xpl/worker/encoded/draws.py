@@ -32,7 +32,7 @@ _LIBRARY = "torch"
 """Draws by itself: what it draws is not counted here."""
 
 
-class Drawn:
+class EnvGenerators:
     """Has a model draw from its environments' generators, each asked in its turn.
 
     Args:
@@ -44,32 +44,32 @@ class Drawn:
         self._model, self._predict, self._rng = model, model.predict, model.rng
         self._type = {"single": np.float32, "double": np.float64}.get(how["as"])
         self._envs: Sequence[int] = ()
-        self._asked = 0
+        self._draws = 0
         self.count = 0
 
     def predict(self, inputs: object, envs: list[int]) -> Any:
         """Return what the model predicts with these draws."""
-        self._envs, self._asked = envs, 0
+        self._envs, self._draws = envs, 0
         with self._instead():
             return self._predict(inputs, envs)
 
     @property
-    def told(self) -> dict[str, Any]:
+    def report(self) -> dict[str, Any]:
         """How many times something was drawn; None if that is not known."""
         return {"draws": None if _LIBRARY in sys.modules and not self.count else self.count}
 
     @contextmanager
     def _instead(self) -> Iterator[None]:
         """Have whoever asks for numbers ask here."""
-        kept = {name: getattr(np.random, name) for name in (*_DRAWN, _MADE)}
+        originals = {name: getattr(np.random, name) for name in (*_DRAWN, _MADE)}
         try:
             for name in _DRAWN:
                 setattr(np.random, name, self._function(name))
-            setattr(np.random, _MADE, self._maker(kept[_MADE]))
+            setattr(np.random, _MADE, self._maker(originals[_MADE]))
             self._model.rng = lambda _env: self._source()
             yield
         finally:
-            for name, value in kept.items():
+            for name, value in originals.items():
                 setattr(np.random, name, value)
             del self._model.rng
 
@@ -91,8 +91,8 @@ class Drawn:
 
     def _source(self) -> _Source:
         """Return the generator of the environment whose turn it is."""
-        env = self._envs[self._asked % len(self._envs)]
-        self._asked += 1
+        env = self._envs[self._draws % len(self._envs)]
+        self._draws += 1
         return _Source(self, env)
 
     def draw(self, env: int, name: str, *arguments: Any, **more: Any) -> Any:
@@ -116,7 +116,7 @@ class Drawn:
 class _Source:
     """What an adapter takes for a generator."""
 
-    def __init__(self, drawn: Drawn, env: int) -> None:
+    def __init__(self, drawn: EnvGenerators, env: int) -> None:
         self._drawn, self._env = drawn, env
 
     def __getattr__(self, name: str) -> Callable[..., Any]:

@@ -23,30 +23,30 @@ _CROPS = (1.0, *FRACTIONS, 0.95**0.5, 0.8**0.5, 0.9**2, 0.8**2)
 
 def sizes(value: object) -> list[tuple[int, int]]:
     """Return height and width of one camera's picture in encoded inputs, each once; two in one count by themselves."""
-    found = []
+    image_sizes = []
     for array in leaves(value):
         axis = channel_axis(array)
         if axis is not None:
             height, width = (array.shape[one] for one in ((-3, -2) if axis == -1 else (-2, -1)))
             across = width // height if width in (2 * height, 3 * height) else 1
             down = height // width if height in (2 * width, 3 * width) else 1
-            found.append((height // down, width // across))
-    return list(dict.fromkeys(found))
+            image_sizes.append((height // down, width // across))
+    return list(dict.fromkeys(image_sizes))
 
 
 def whole(steps: Sequence[Entry], size: Sequence[int], shape: Sequence[int]) -> list[dict[str, Any]]:
     """Return steps of a geometry with the sizes that a picture of a shape gets; `square` cuts out its middle."""
-    found = []
+    images = []
     for step in steps:
         for kind, how in step.items():
             if kind == "square":
-                found.append({"crop": {"to": [min(shape[:2])] * 2}})
+                images.append({"crop": {"to": [min(shape[:2])] * 2}})
             else:
-                found.append({kind: {**how, "to": list(size)} if kind in ("resize", "letterbox") else how})
-    return found
+                images.append({kind: {**how, "to": list(size)} if kind in ("resize", "letterbox") else how})
+    return images
 
 
-class Resized:
+class ResizedInputs:
     """Shows pictures that already have the model's size, so that what the adapter does to the size has no effect.
 
     Args:
@@ -54,7 +54,7 @@ class Resized:
         sample: an observation.
 
     Raises:
-        UnfitError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
+        NoEffectError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
     """
 
     def __init__(self, encode: EncodeOne, sample: Observation) -> None:
@@ -108,10 +108,10 @@ def _has_levels(array: np.ndarray, levels: np.ndarray) -> bool:
     for channel in array.reshape(-1, 3).T.astype(np.float64):
         if channel.size % levels.size:
             return False
-        wanted = np.repeat(levels, channel.size // levels.size).astype(np.float64)
-        found = np.sort(channel)
-        slope, offset = np.polyfit(wanted, found, 1)
-        if np.abs(slope * wanted + offset - found).max() > 1e-3 * abs(slope) * 255:
+        expected = np.repeat(levels, channel.size // levels.size).astype(np.float64)
+        levels_sorted = np.sort(channel)
+        slope, offset = np.polyfit(expected, levels_sorted, 1)
+        if np.abs(slope * expected + offset - levels_sorted).max() > 1e-3 * abs(slope) * 255:
             return False
     return True
 

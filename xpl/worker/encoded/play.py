@@ -19,10 +19,10 @@ from xpl.conventions import instruction
 from xpl.wire.arrays import as_array
 from xpl.worker.block_answers import replay_from_start
 from xpl.worker.encoded import pictures, turns, vectors
-from xpl.worker.encoded.draws import Drawn
-from xpl.worker.encoded.rebuilt import Rebuilt
-from xpl.worker.encoded.repeats import Once
-from xpl.worker.encoded.segments import Segments
+from xpl.worker.encoded.draws import EnvGenerators
+from xpl.worker.encoded.rebuilt import RebuiltImages
+from xpl.worker.encoded.repeats import StepOncePerObservation
+from xpl.worker.encoded.segments import RenormalizedSegments
 from xpl.worker.subprocess_task import FAILURES, pack_error, pack_result
 
 if TYPE_CHECKING:
@@ -39,33 +39,33 @@ Encode = Callable[[Observation, int], Any]
 
 
 def changes(
-    model: Policy, wanted: Sequence[Mapping[str, Any]], calls: Sequence[Mapping[str, Any]], seconds: float
+    model: Policy, input_changes: Sequence[Mapping[str, Any]], calls: Sequence[Mapping[str, Any]], seconds: float
 ) -> Iterator[bytes]:
     """Yield the answers under each change, packed.
 
     Args:
-        model: the adapter's; its `encode` is wrapped.
-        wanted: changes: maps with a `kind`, and what that needs; `way`: in, out or both, where a change may be of what
-            the model answers, too; batch, where it is of the inputs of a batch. `several` does those that it lists
-            under `of` one after the other.
-        calls: what is shown and asked.
-        seconds: how long it may take.
+        model: the adapter's model; its `encode` is wrapped.
+        input_changes: maps with a `kind` and its parameters; `way`: in, out or both for changes that may apply to the
+            model's output, too; batch for changes of the inputs of a batch. `several` applies the changes listed
+            under `of` in order.
+        calls: observations and inferences of the episodes.
+        seconds: time limit.
     """
     until = time.monotonic() + seconds
     samples = [obs for call in calls for _, obs in call.get("show", ())][:_SAMPLES]
-    shown = list({obs.get(spec.Obs.ENV_IDX) or 0: obs for obs in samples}.values())
+    newest = list({obs.get(spec.Obs.ENV_IDX) or 0: obs for obs in samples}.values())
     own, predicts = model.encode, model.predict
-    known: dict[str, Any] = {"kept": _remembering(own)}
-    for how in wanted:
+    known: dict[str, Any] = {"kept": _cached_encode(own)}
+    for how in input_changes:
         if time.monotonic() > until:
             return
         try:
             model.reset()
-            model.update_obs_batch(shown)  # so that there are environments that encode
+            model.update_obs_batch(newest)  # so that there are environments that encode
             if how["kind"] in _WHOLE:
                 yield _WHOLE[how["kind"]](model, how, calls)
                 continue
-            told: dict[str, Any] = {}
+            report: dict[str, Any] = {}
             encode: Any = own
             predict, held = predicts, known
             for one in how["of"] if how["kind"] == "several" else [how]:
@@ -73,54 +73,54 @@ def changes(
                     predict = _batched(predict, one)
                 elif one.get("way") != "out":
                     encode, more = _wrapped(model, encode, one, samples, held)
-                    told, held = _told(told, more), {"kept": _remembering(encode)}
+                    report, held = _merge_reports(report, more), {"kept": _cached_encode(encode)}
                 if one.get("way") in ("out", "both"):
                     predict = _answering(predict, one)
             model.encode, model.predict = encode, predict  # type: ignore[method-assign]
-            yield pack_result({"answers": list(replay_from_start(model, calls)), **told})
+            yield pack_result({"answers": list(replay_from_start(model, calls)), **report})
         except FAILURES as error:
             yield pack_error(error)
         finally:
             model.encode, model.predict = own, predicts  # type: ignore[method-assign]
 
 
-def _told(before: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+def _merge_reports(before: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
     """Return what is to be told of several changes: words of each that knows better."""
-    words = [told["words"] for told in (before, more) if "words" in told]
+    words = [report["words"] for report in (before, more) if "words" in report]
     return {**before, **more, **({"words": " and ".join(words)} if len(words) > 1 else {})}
 
 
-def _remembering(encode: Encode) -> Encode:
+def _cached_encode(encode: Encode) -> Encode:
     """Return an `encode` that makes the inputs of an observation once; what it returns may be written to."""
-    known: dict[tuple[int, int], tuple[Any, Any]] = {}
+    cache: dict[tuple[int, int], tuple[Any, Any]] = {}
 
     def remembered(obs: Observation, env: int) -> Any:
         key = (id(obs), env)
-        if key not in known or known[key][0] is not obs:
+        if key not in cache or cache[key][0] is not obs:
             made = encode(obs, env)
-            if len(known) >= _MOST_KEPT:
+            if len(cache) >= _MOST_KEPT:
                 return made
-            known[key] = obs, made
-        return map_leaves(known[key][1], lambda leaf: None if isinstance(leaf, str) else leaf.copy())
+            cache[key] = obs, made
+        return map_leaves(cache[key][1], lambda leaf: None if isinstance(leaf, str) else leaf.copy())
 
     return remembered
 
 
 def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
     """Return the answers with other draws, packed."""
-    drawn = Drawn(model, how)
+    drawn = EnvGenerators(model, how)
     model.predict = drawn.predict  # type: ignore[method-assign]
     answers = list(replay_from_start(model, calls))
-    return pack_result({"answers": answers, **drawn.told})
+    return pack_result({"answers": answers, **drawn.report})
 
 
 def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
     """Return the answers where no state is advanced twice by one observation, packed.
 
     Raises:
-        UnfitError: if none is.
+        NoEffectError: if none is.
     """
-    once = Once()
+    once = StepOncePerObservation()
     with once.around(model):
         answers = list(replay_from_start(model, calls))
     if not once.left_out:
@@ -154,7 +154,7 @@ def _wrapped(
     """Return an `encode` with a change, and what is to be told of it.
 
     Raises:
-        UnfitError: if the change has no meaning here.
+        NoEffectError: if the change has no meaning here.
     """
     sample = samples[0]
 
@@ -162,29 +162,33 @@ def _wrapped(
         made = known["kept"] if any(obs is one for one in samples) else own
         return made(obs, obs.get(spec.Obs.ENV_IDX) or 0)
 
-    kind, kept = how["kind"], known["kept"]
+    kind, cached_encode = how["kind"], known["kept"]
     if kind == "resized":
         return _resized(own, encode, how, sample, known)
     if kind == "text":
         instruction.rewrite_texts(encode(sample), how, sample)
-        return (lambda obs, env: instruction.rewrite_texts(kept(obs, env), how, obs)), {}
+        return (lambda obs, env: instruction.rewrite_texts(cached_encode(obs, env), how, obs)), {}
     if kind in ("normalized", "segmented"):
         if kind not in known:
             several = kind == "segmented"
-            known[kind] = Segments(model, encode, samples) if several else vectors.Normalized(model, encode, sample)
+            known[kind] = (
+                RenormalizedSegments(model, encode, samples)
+                if several
+                else vectors.RenormalizedInputs(model, encode, sample)
+            )
         numbers = known[kind]
         words = numbers.change(encode(sample), how)[1]
-        return (lambda obs, env: numbers.change(kept(obs, env), how)[0]), {"words": words}
+        return (lambda obs, env: numbers.change(cached_encode(obs, env), how)[0]), {"words": words}
     if kind == "rotation":
-        turn = turns.Turned([encode(one) for one in samples], how)
-        return (lambda obs, env: turn(kept(obs, env))), {}
+        turn = turns.RotatedInputs([encode(one) for one in samples], how)
+        return (lambda obs, env: turn(cached_encode(obs, env))), {}
     change = catalogue.lookup("input_changes", kind)
     if change is None:
         raise NoEffectError(f"nobody here knows the change {kind}")
     before = encode(sample)
     if _equal(change(before, how), before):
         raise NoEffectError("it changes nothing")
-    return (lambda obs, env: change(kept(obs, env), how)), {}
+    return (lambda obs, env: change(cached_encode(obs, env), how)), {}
 
 
 def _resized(
@@ -193,11 +197,15 @@ def _resized(
     """Return an `encode` whose pictures got their size otherwise: shown in that size, or made again.
 
     Raises:
-        UnfitError: if that cannot be done.
+        NoEffectError: if that cannot be done.
     """
     steps, exchanged = how["steps"], bool(how.get("exchanged"))
     if "pictures" not in known:
-        known["pictures"] = _tried(pictures.Resized, encode, sample), _tried(Rebuilt, encode, sample), encode(sample)
+        known["pictures"] = (
+            _tried(pictures.ResizedInputs, encode, sample),
+            _tried(RebuiltImages, encode, sample),
+            encode(sample),
+        )
     seen, rebuilt, before = known["pictures"]
     if not exchanged and not isinstance(seen, NoEffectError):
         far = pictures.apart(encode(seen(sample, steps)), before)

@@ -29,7 +29,7 @@ _COLOURS = 3
 
 
 @dataclass(frozen=True)
-class _Place:
+class _ImageRegion:
     """Where a camera's picture lies.
 
     Attributes:
@@ -54,7 +54,7 @@ class _Place:
     is_alone: bool
 
 
-class Rebuilt:
+class RebuiltImages:
     """Knows where an adapter's pictures lie.
 
     Args:
@@ -62,7 +62,7 @@ class Rebuilt:
         sample: an observation.
 
     Raises:
-        UnfitError: if that cannot be seen.
+        NoEffectError: if that cannot be seen.
     """
 
     def __init__(self, encode: EncodeOne, sample: Observation) -> None:
@@ -72,12 +72,12 @@ class Rebuilt:
         if not black or len(self._cameras) > _MOST_CAMERAS:
             raise NoEffectError("no pictures")
         whites = {camera: self._planes({camera: np.full(_COLOURS, 255.0)}) for camera in self._cameras}
-        self._places: dict[str, list[_Place]] = {}
+        self._regions: dict[str, list[_ImageRegion]] = {}
         for camera, white in whites.items():
-            found = self._found(camera, black, white, whites)
+            found = self._find_regions(camera, black, white, whites)
             if found:
-                self._places[camera] = found
-        if not self._places:
+                self._regions[camera] = found
+        if not self._regions:
             raise NoEffectError("no camera is seen")
 
     def __call__(self, value: Any, obs: Observation, steps: Sequence[Entry], *, exchanged: bool = False) -> Any:
@@ -90,11 +90,11 @@ class Rebuilt:
             exchanged: whether height and width are exchanged.
 
         Raises:
-            UnfitError: if a picture cannot be of that size.
+            NoEffectError: if a picture cannot be of that size.
         """
         arrays = [_flat(leaf) for leaf in leaves(value) if channel_axis(leaf) is not None]
         made = [np.swapaxes(array, 1, 2).copy() if exchanged else array.copy() for array in arrays]
-        for camera, places in self._places.items():
+        for camera, places in self._regions.items():
             image = get_image(obs, camera)
             for place in places:
                 if exchanged and not place.is_alone:
@@ -125,13 +125,13 @@ class Rebuilt:
         value = self._encode({**self._sample, spec.Obs.VISION: vision})
         return [_flat(leaf) for leaf in leaves(value) if channel_axis(leaf) is not None]
 
-    def _found(
+    def _find_regions(
         self,
         camera: str,
         black: Sequence[np.ndarray],
         white: Sequence[np.ndarray],
         whites: Mapping[str, Sequence[np.ndarray]],
-    ) -> list[_Place]:
+    ) -> list[_ImageRegion]:
         """Return where a camera's picture lies."""
         height, width = np.shape(self._sample[spec.Obs.VISION][camera][spec.Camera.COLOR])[:2]
         colours = [self._planes({camera: one}) for one in 255.0 * np.eye(_COLOURS)]
@@ -153,7 +153,7 @@ class Rebuilt:
                 lows, highs = (np.median(one[leaf][plane][mask], axis=0) for one in (black, white))
                 sign = np.sign((highs - lows).sum())
                 places.append(
-                    _Place(
+                    _ImageRegion(
                         leaf=leaf,
                         plane=plane,
                         rows=rows,
@@ -177,8 +177,8 @@ def _flat(leaf: np.ndarray) -> np.ndarray:
 
 def _mask(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     far = np.abs(one - other).max(-1)
-    seen: np.ndarray = far > max(_SEEN, 0.5 * float(far.max()))
-    return seen
+    is_changed: np.ndarray = far > max(_SEEN, 0.5 * float(far.max()))
+    return is_changed
 
 
 def _centre(mask: np.ndarray) -> tuple[float, float]:
@@ -206,13 +206,13 @@ def _slopes(picture: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
     return float(by_row), float(by_column)
 
 
-def _made(image: np.ndarray, place: _Place, steps: Sequence[Entry], size: Sequence[int]) -> np.ndarray:
+def _made(image: np.ndarray, region: _ImageRegion, steps: Sequence[Entry], size: Sequence[int]) -> np.ndarray:
     """Return a camera's picture in the numbers of the encoded ones."""
-    wanted = tuple(size)[::-1] if place.is_turned else tuple(size)
+    shape = tuple(size)[::-1] if region.is_turned else tuple(size)
     entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8", "cameras": [""]}
-    made = ImageInput({**entry, "steps": whole(steps, wanted, image.shape)}).view(image)
-    view = np.swapaxes(made, 0, 1) if place.is_turned else made
-    view = view[:: -1 if place.flips[0] else 1, :: -1 if place.flips[1] else 1]
-    share = view[..., place.order].astype(np.float64) / 255.0
-    numbers: np.ndarray = place.black + share * (place.white - place.black)
+    made = ImageInput({**entry, "steps": whole(steps, shape, image.shape)}).view(image)
+    view = np.swapaxes(made, 0, 1) if region.is_turned else made
+    view = view[:: -1 if region.flips[0] else 1, :: -1 if region.flips[1] else 1]
+    share = view[..., region.order].astype(np.float64) / 255.0
+    numbers: np.ndarray = region.black + share * (region.white - region.black)
     return numbers

@@ -14,7 +14,7 @@ _MOST = 64
 """Methods that are watched at most."""
 
 
-class Once:
+class StepOncePerObservation:
     """Answers calls of the adapter's parts that are the call before once more as that was answered.
 
     Such a call has equal arguments, but for those that the call before returned: the state that it led to.

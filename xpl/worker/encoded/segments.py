@@ -40,7 +40,7 @@ class _Segment:
     line: int
 
 
-class Segments:
+class RenormalizedSegments:
     """Normalises parts of vectors otherwise.
 
     Args:
@@ -51,21 +51,21 @@ class Segments:
 
     def __init__(self, model: Any, encode: EncodeOne, samples: Sequence[Observation]) -> None:
         self._lines = {width: list(_turned(_arrays(model, width))) for width in _WIDTHS}
-        self._found: dict[int, list[_Segment]] = {}
+        self._segments: dict[int, list[_Segment]] = {}
         vectors = [[leaf for leaf in leaves(encode(one)) if _is_one(leaf)] for one in samples]
         for several in zip(*vectors):
             width = several[0].shape[-1]
-            if width not in self._found:
+            if width not in self._segments:
                 rows = np.stack([np.ravel(one)[-width:] for one in several])
-                self._found[width] = list(self._parts(rows, [_fields(one) for one in samples]))
-        used = [segment for segments in self._found.values() for segment in segments]
+                self._segments[width] = list(self._parts(rows, [_fields(one) for one in samples]))
+        used = [segment for segments in self._segments.values() for segment in segments]
         self._changes = list(dict.fromkeys((one.width, one.line) for one in used))
 
     def change(self, value: Any, how: Entry) -> tuple[Any, str]:
         """Return encoded inputs with parts normalised otherwise, and how.
 
         Raises:
-            UnfitError: if there are no such parts or numbers.
+            NoEffectError: if there are no such parts or numbers.
         """
         wanted = [
             (width, line, other)
@@ -83,7 +83,7 @@ class Segments:
             if not _is_one(leaf):
                 return None
             result = np.array(leaf, np.float64)
-            for one in self._found.get(leaf.shape[-1], ()):
+            for one in self._segments.get(leaf.shape[-1], ()):
                 if (one.width, one.line) == (width, line):
                     part = slice(one.start, one.start + width)
                     result[..., part] = there(back(result[..., part]))
@@ -98,12 +98,12 @@ class Segments:
                 part = rows[:, start : start + width]
                 for number, (_, _, back) in enumerate(self._lines[width]):
                     free = ~np.isin(part, _ENDS)
-                    if any(_are_near(back(part), held, free) for held in _held(fields, width)):
+                    if any(_are_near(back(part), held, free) for held in _field_values(fields, width)):
                         yield _Segment(start, width, number)
                         break
 
 
-def _held(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Iterator[np.ndarray]:
+def _field_values(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Iterator[np.ndarray]:
     """Yield rows of fields of a width, and of positions, as they are and the other way round."""
     for name in fields[0]:
         size = spec.POSITION_DIM if name.endswith("pose") else len(fields[0][name])
@@ -141,5 +141,5 @@ def _arrays(model: Any, width: int) -> dict[str, np.ndarray]:
     own = type(model).__module__
     package = own.rpartition(".")[0]
     modules = [own, *(name for name in sorted(sys.modules) if package and name.startswith(f"{package}."))]
-    places = [vars(model), *(vars(sys.modules[name]) for name in modules if name in sys.modules)]
-    return of_width(places, width, _MOST_ARRAYS)
+    namespaces = [vars(model), *(vars(sys.modules[name]) for name in modules if name in sys.modules)]
+    return of_width(namespaces, width, _MOST_ARRAYS)

@@ -19,7 +19,7 @@ _QUATERNION, _VECTORS = 4, 6
 Function = Callable[[np.ndarray], np.ndarray]
 
 
-class Turned:
+class RotatedInputs:
     """Changes how rotations are written.
 
     Args:
@@ -27,7 +27,7 @@ class Turned:
         how: `turn`, one of those below.
 
     Raises:
-        UnfitError: if there is none.
+        NoEffectError: if there is none.
     """
 
     def __init__(self, samples: Sequence[Any], how: Entry) -> None:
@@ -37,8 +37,8 @@ class Turned:
             for leaf in leaves(sample):
                 if channel_axis(leaf) is None and is_vector(leaf):
                     vectors.setdefault(leaf.shape[-1], []).append(leaf.reshape(-1, leaf.shape[-1]).astype(np.float64))
-        self._places = {width: self._found(np.concatenate(rows), found) for width, rows in vectors.items()}
-        if not any(self._places.values()):
+        self._offsets = {width: self._find_offsets(np.concatenate(rows), found) for width, rows in vectors.items()}
+        if not any(self._offsets.values()):
             raise NoEffectError("no such rotation")
 
     def __call__(self, value: Any) -> Any:
@@ -48,14 +48,14 @@ class Turned:
             if channel_axis(leaf) is not None or not is_vector(leaf):
                 return None
             result = np.array(leaf, np.float64)
-            for place in self._places.get(leaf.shape[-1], ()):
+            for place in self._offsets.get(leaf.shape[-1], ()):
                 part = slice(place, place + self._width)
                 result[..., part] = self._turn(result[..., part])
             return result
 
         return map_leaves(value, change)
 
-    def _found(self, rows: np.ndarray, is_one: Callable[[np.ndarray], bool]) -> list[int]:
+    def _find_offsets(self, rows: np.ndarray, is_one: Callable[[np.ndarray], bool]) -> list[int]:
         """Return where rotations begin."""
         places, place = [], 0
         while place + self._width <= rows.shape[1]:
@@ -105,8 +105,8 @@ def _apart(values: np.ndarray) -> np.ndarray:
     return _transposed(columns)
 
 
-def _signed(place: int) -> Function:
-    return lambda values: np.where(values[..., [place]] < 0, -values, values)
+def _signed(index: int) -> Function:
+    return lambda values: np.where(values[..., [index]] < 0, -values, values)
 
 
 def _rolled(by: int) -> Function:

@@ -23,7 +23,7 @@ Line = tuple[str, LeafChange, LeafChange]
 """A normalisation by its words: there and back."""
 
 
-class Normalized:
+class RenormalizedInputs:
     """Normalises vectors by numbers that lie in the adapter's own module and model.
 
     Args:
@@ -36,7 +36,7 @@ class Normalized:
         widths = [leaf.shape[-1] for leaf in leaves(encode(sample)) if channel_axis(leaf) is None and is_vector(leaf)]
         self._width = widths[0] if len(set(widths)) == 1 else 0
         self._lines = list(lines(_arrays(model, self._width))) if self._width else []
-        self._now = self._told(encode(sample), sample)
+        self._now = self._count_state_values(encode(sample), sample)
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -45,7 +45,7 @@ class Normalized:
         """Return encoded inputs with vectors normalised otherwise, and how.
 
         Raises:
-            UnfitError: if there are no such numbers, or it is how they are normalised already.
+            NoEffectError: if there are no such numbers, or it is how they are normalised already.
         """
         number = how["number"]
         if number >= len(self._lines) or self._now is None or number == self._now:
@@ -58,7 +58,7 @@ class Normalized:
 
         return map_leaves(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
 
-    def _told(self, value: object, sample: Observation) -> int | None:
+    def _count_state_values(self, value: object, sample: Observation) -> int | None:
         """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
         state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
         vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
@@ -102,29 +102,29 @@ def _arrays(model: Any, width: int) -> dict[str, np.ndarray]:
     return of_width([{**vars(module), **vars(model)} if module is not None else vars(model)], width, _MOST_ARRAYS)
 
 
-def of_width(places: Iterable[Mapping[Any, Any]], width: int, most: int) -> dict[str, np.ndarray]:
-    """Return the vectors of a width that places hold, (width,) float64 each, by their names.
+def of_width(namespaces: Iterable[Mapping[Any, Any]], width: int, most: int) -> dict[str, np.ndarray]:
+    """Return the vectors of a width in some namespaces, (width,) float64 each, by name.
 
     Args:
-        places: attributes by name.
-        width: how long a vector is.
-        most: how many to return at the most; equal vectors count once.
+        namespaces: maps of attributes by name.
+        width: length of a vector.
+        most: most vectors to return; equal ones count once.
     """
-    found: dict[str, np.ndarray] = {}
-    for name, value in itertools.chain(*map(named, places)):
+    arrays: dict[str, np.ndarray] = {}
+    for name, value in itertools.chain(*map(named, namespaces)):
         try:
             array = np.asarray(value, np.float64)
         except (TypeError, ValueError):
             continue
-        known = any(np.array_equal(array, other) for other in found.values())
-        if array.shape == (width,) and np.isfinite(array).all() and not known and len(found) < most:
-            found[name] = array
-    return found
+        is_duplicate = any(np.array_equal(array, other) for other in arrays.values())
+        if array.shape == (width,) and np.isfinite(array).all() and not is_duplicate and len(arrays) < most:
+            arrays[name] = array
+    return arrays
 
 
-def named(places: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
+def named(namespace: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
     """Yield what may be numbers, in a module or an object and in its maps, by dotted names."""
-    for name, value in list(places.items()):
+    for name, value in list(namespace.items()):
         if not isinstance(name, str) or name.startswith("__"):
             continue
         if isinstance(value, Mapping) and depth:
