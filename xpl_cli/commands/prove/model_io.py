@@ -38,7 +38,7 @@ def record(
     diff: bool = typer.Option(False, "--diff", help="Print which answers would change, and write nothing."),
     as_json: bool = JSON,
 ) -> None:
-    """Ask reference.py about scripted episodes and write its answers into the package, for audits to compare with."""
+    """Record golden pairs: run reference.py on scripted episodes, and write its actions into the package."""
     import shlex
 
     from xpl_cli.basics import console
@@ -116,9 +116,9 @@ def _lines(result: RecordResult) -> list[str]:
 @app.command()
 @exit_codes(clean="written", usage="there is one already, or policy.yml names no robot")
 def reference(policy: str = POLICY, as_json: bool = JSON) -> None:
-    """Write a reference.py to fill in: conventions that apply, fields of observations, numbers of an action.
+    """Write a reference.py to fill in: applicable conventions, fields of observations, numbers of an action.
 
-    What the model does is left to its authors' code.
+    Call the authors' code in it.
     """
     import shlex
 
@@ -158,7 +158,7 @@ def show(
     environment: str | None = typer.Option(None, metavar="NAME", help="Show an environment's first observation."),
     task: str | None = typer.Option(None, help="Its task; the first by default."),
     seed: int = typer.Option(0, min=0, help="Of its episode."),
-    image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Show a camera this picture."),
+    image: list[str] = typer.Option([], metavar="CAMERA=FILE", help="Image file for a camera."),
     settings: list[str] = SETTINGS,
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
@@ -238,7 +238,7 @@ def kinematics(
     policy: str = POLICY,
     as_json: bool = JSON,
 ) -> None:
-    """Let the robot's kinematics judge the rows that model_io.samples names: forms, points, frames, units, order."""
+    """Check the rows of model_io.samples by the robot's kinematics: forms, points, frames, units, order."""
     from xpl.convert import ConversionError
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError
@@ -270,7 +270,7 @@ def sources(
     policy_env: str | None = POLICY_ENV,
     as_json: bool = JSON,
 ) -> None:
-    """Quote beside each convention the line of the authors' code that reference.py cites for it."""
+    """Print each convention with the lines of the authors' code that reference.py cites for it."""
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode
     from xpl_cli.model_io import reference_file

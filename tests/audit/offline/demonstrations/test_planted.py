@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.audit.offline.oracle import table
-from tests.audit.offline.oracle.local import Judged
-from tests.audit.offline.oracle.planting import Subject, trained
+from tests.audit.offline.mistakes_table import table
+from tests.audit.offline.mistakes_table.local import Judged
+from tests.audit.offline.mistakes_table.planting import Subject, trained
 from tests.support.checkout import ROOT
 from tests.support.peer import xpl
 from xpl import get_embodiment

@@ -1,7 +1,7 @@
 """Makes results.json, docs/mistakes.md and its picture of what `trained.py` wrote.
 
-python -m tests.audit.offline.oracle.table [FIRST [AFTER]]
-python -m tests.audit.offline.oracle.table --again OUT
+python -m tests.audit.offline.mistakes_table.table [FIRST [AFTER]]
+python -m tests.audit.offline.mistakes_table.table --again OUT
 
 FIRST is the OUT of the search as it was when the mistakes were planted, AFTER that of the improved one. Without any,
 the page is made of results.json as it is; with --again, what OUT says of contract, parity and success goes into it
@@ -18,7 +18,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from tests.audit.offline.oracle.planting import HERE, RIGHT, ROOT, Subject, said, trained
+from tests.audit.offline.mistakes_table.planting import HERE, RIGHT, ROOT, Subject, said, trained
 from xpl_cli.audit.rules.registry import find
 
 RESULTS = HERE / "results.json"

@@ -16,7 +16,7 @@ from xpl_cli.audit.offline.demonstrations import action_errors
 from xpl_cli.audit.rules.model import NotRun
 
 if TYPE_CHECKING:
-    from tests.audit.offline.oracle.local import Judged
+    from tests.audit.offline.mistakes_table.local import Judged
 
 PARITY, FIT, FOLLOWED = "XPL260", "XPL270", "XPL271"
 
@@ -85,11 +85,11 @@ def _apart(planted: Judged, right: Judged) -> tuple[float, float]:
     if planted is right:
         return 0.0, float(own.steps[own.known].mean())
     there, here = right.fact.answers, planted.fact.answers
-    other = _Beside(ruler, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refusals)
+    other = _AnswerDistance(ruler, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refusals)
     return float(other.steps[other.known].mean()), float(own.steps[own.known].mean())
 
 
-class _Beside(action_errors.ErrorMetric):
+class _AnswerDistance(action_errors.ErrorMetric):
     """Measures against other answers than what was done, in the same spreads."""
 
     def __init__(self, ruler: action_errors.ErrorMetric, answers: Any) -> None:

@@ -1,6 +1,6 @@
 """Plant conversion mistakes into trained policies, and see which proof names them and what they cost.
 
-python tests/audit/offline/oracle OUT --checkpoints DIR --demos DIR --python PYTHON [--jobs N]
+python tests/audit/offline/mistakes_table OUT --checkpoints DIR --demos DIR --python PYTHON [--jobs N]
 
 DIR of --checkpoints and of --demos hold the folders that `trained.yml` names. Every proof of every mistake writes a
 file below OUT/rows; a run that was cut goes on with the same command. `table.py` makes the page of them.
@@ -21,8 +21,8 @@ import traceback
 from pathlib import Path
 from typing import Any
 
-from tests.audit.offline.oracle import proofs
-from tests.audit.offline.oracle.planting import HERE, RIGHT, Subject, Trained, demonstrations, said, trained
+from tests.audit.offline.mistakes_table import proofs
+from tests.audit.offline.mistakes_table.planting import HERE, RIGHT, Subject, Trained, demonstrations, said, trained
 
 PROOFS = ("demonstrations", "parity", "success", "contract")
 """In the order in which they are made; `contract` is the static and the offline gate without the other proofs."""
@@ -201,7 +201,7 @@ def _made(asked: argparse.Namespace, proof: str, subject: Subject, package: Path
     if proof in ("parity", "contract"):
         codes = (proofs.PARITY,) if proof == "parity" else ()
         return proofs.audited(package, asked.python, _SECONDS[proof], codes)
-    from tests.audit.offline.oracle.local import Judged
+    from tests.audit.offline.mistakes_table.local import Judged
 
     key = subject.policy.name
     if key not in _RIGHT:

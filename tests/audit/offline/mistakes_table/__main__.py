@@ -12,4 +12,4 @@ sys.path.insert(0, str(ROOT))
 holder = ModuleType("tests")
 holder.__path__ = [str(ROOT / "tests")]
 sys.modules["tests"] = holder
-runpy.run_module("tests.audit.offline.oracle.trained", run_name="__main__")
+runpy.run_module("tests.audit.offline.mistakes_table.trained", run_name="__main__")
