@@ -181,7 +181,7 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
     [
         (["report", "run", "--out", "x\0y"], 2, "which holds NUL"),
         (["report", "run", "--out", "y" * 300], 2, "no path is as long"),
-        (["report", "run", "--out", "loop"], 2, "leads back to itself"),
+        (["report", "run", "--out", "loop"], 2, "is a circular link"),
         (["eval", "policy/Foo", "--until-width", "nan"], 2, "finite number"),
         (["rules", "--output", "pipe"], 2, "cannot be written"),
         (["serve", "policy/Foo", "--port", "99999"], 2, "'--port'"),
@@ -200,7 +200,7 @@ def test_all_values_that_are_of_no_use_are_one_sentence(name: str, place: Path) 
         (["eval", "policy/Foo", "--connect", "ws://[::1"], 2, "expected ws://HOST:PORT or wss://HOST:PORT"),
         (["eval", "policy/Foo", "--connect", "ws://host:99999"], 2, "expected ws://HOST:PORT or wss://HOST:PORT"),
         (["env", "hand-over", "toy", "policy/Foo", "--connect", "openpi+ws://[x"], 2, "expected ws://HOST:PORT"),
-        (["serve", "policy/Foo", "--trace", "pipe"], 4, "nobody reads the pipe"),
+        (["serve", "policy/Foo", "--trace", "pipe"], 4, "has no reader"),
         (["serve", "policy/Foo", "--memory-limit", "9" * 5000], 2, "--memory-limit takes a size"),
         (["eval", "policy/Foo", "--env", "mujoco", "--out", "nothing", "--resume"], 3, "no recorded run to go on with"),
         (["verify", "bundle.zip", "--max-size", "9" * 5000], 2, "--max-size takes a size"),

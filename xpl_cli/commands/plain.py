@@ -1,7 +1,7 @@
-"""Commands that convert texts, paths and flags by themselves: the library that typer does it with starts slowly.
+"""Commands with their own conversion of simple values: typer's conversion imports pydantic, which is slow.
 
-Recent releases of typer convert every parameter with pydantic, whose import takes longer than the static gate. Where
-typer has no such step, and for values of every other kind, nothing is changed.
+Recent releases of typer convert every parameter with pydantic, whose import takes longer than the static gate. Other
+releases, and values of other types, are not affected.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _NUMBER: Final = re.compile(r"[+-]?[0-9]{1,15}(\.[0-9]{1,15})?")
 
 
 def _number(kind: type[float]) -> Callable[[Any], Any]:
-    """Return what converts plain numbers, and raises ValueError for all that typer had better judge."""
+    """Return a converter of plain numbers, which raises ValueError for others."""
 
     def convert(value: Any) -> Any:
         if not isinstance(value, str):
@@ -43,7 +43,7 @@ _CONVERSIONS: Final[dict[Any, Callable[[Any], Any]]] = {
 
 
 class PlainCommand(TyperCommand):
-    """A command whose parameters are plain."""
+    """A command with plain parameters."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, that of `--help` included."""
@@ -51,7 +51,7 @@ class PlainCommand(TyperCommand):
 
 
 class PlainGroup(TyperGroup):
-    """A group of commands whose own parameters are plain."""
+    """A command group with plain parameters."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters, that of `--help` included."""
@@ -76,11 +76,11 @@ def _is_bounded(parameter: Any) -> bool:
 
 
 class _PlainConverter:
-    """What typer asks to convert the values of one parameter.
+    """Converter of one parameter's values, as typer calls it.
 
     Args:
-        convert: converts a value that was given; None if typer has to.
-        usual: returns what typer would have used.
+        convert: converts a given value; None to use typer's converter.
+        usual: returns typer's converter.
     """
 
     def __init__(self, convert: Callable[[Any], Any] | None, usual: Callable[[], Any]) -> None:
@@ -88,7 +88,7 @@ class _PlainConverter:
         self._usual = usual
 
     def coerce(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the value of a parameter; several values that were not given are none."""
+        """Return the value of a parameter; missing multiple values are empty."""
         if value is None:
             return () if param.multiple or param.nargs == -1 else None
         if self._convert is not None:

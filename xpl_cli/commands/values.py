@@ -1,4 +1,4 @@
-"""What no option of any command takes: said once here, so that no command has to think of it."""
+"""Validation of option values, shared by all commands."""
 
 from __future__ import annotations
 
@@ -10,49 +10,49 @@ import typer
 
 _MOST_TEXT: Final = 1 << 16
 _MOST_PATH, _MOST_NAME = 4095, 255
-"""Bytes of a path, and of a name in it, that the system takes."""
+"""Longest path, and longest name in it, bytes."""
 _MOST_INTEGER: Final = 2**63 - 1
 _SHOWN: Final = 60
 
 
 def text(value: Any) -> str:
-    """Return a text that may be a name, a path or a setting.
+    """Validate a text.
 
     Raises:
-        BadParameter: it holds NUL, or is longer than any of them.
+        BadParameter: if it holds NUL, or is too long.
     """
-    given = str(value)
-    if "\0" in given:
-        raise typer.BadParameter(f"expected a text, got {quote_value(given)}, which holds NUL")
-    if len(given) > _MOST_TEXT:
-        raise typer.BadParameter(f"expected at most {_MOST_TEXT} characters, got {len(given)}")
-    return given
+    value_text = str(value)
+    if "\0" in value_text:
+        raise typer.BadParameter(f"expected a text, got {quote_value(value_text)}, which holds NUL")
+    if len(value_text) > _MOST_TEXT:
+        raise typer.BadParameter(f"expected at most {_MOST_TEXT} characters, got {len(value_text)}")
+    return value_text
 
 
 def path(value: Any) -> Path:
-    """Return a path that may be one; whether anything lies there is the command's to say.
+    """Validate a path, which need not exist.
 
     Raises:
-        BadParameter: it is empty, holds NUL, is longer than the system bears, or leads in a circle.
+        BadParameter: if it is empty, holds NUL, is too long, or is a circular link.
     """
-    given = text(value)
-    if not given:
-        raise typer.BadParameter("expected a path, got an empty text; the folder where you are is .")
-    found = Path(given)
-    if len(given.encode(errors="surrogateescape")) > _MOST_PATH or any(map(_is_too_long, found.parts)):
-        raise typer.BadParameter(f"no path is as long as {quote_value(given)}, of {len(given)} characters")
+    value_text = text(value)
+    if not value_text:
+        raise typer.BadParameter("expected a path, got an empty text; the working directory is .")
+    result = Path(value_text)
+    if len(value_text.encode(errors="surrogateescape")) > _MOST_PATH or any(map(_is_too_long, result.parts)):
+        raise typer.BadParameter(f"no path is as long as {quote_value(value_text)}, of {len(value_text)} characters")
     try:
-        found.resolve()
+        result.resolve()
     except (OSError, RuntimeError):
-        raise typer.BadParameter(f"{quote_value(given)} is a link that leads back to itself") from None
-    return found
+        raise typer.BadParameter(f"{quote_value(value_text)} is a circular link") from None
+    return result
 
 
 def folder(value: Path | None) -> Path | None:
-    """Return a folder that is there, for options that need one.
+    """Validate an existing folder.
 
     Raises:
-        NotFoundError: there is none.
+        NotFoundError: if there is none.
     """
     from xpl_cli.basics.errors import NotFoundError
 
@@ -62,10 +62,10 @@ def folder(value: Path | None) -> Path | None:
 
 
 def written_on(value: Path | None) -> Path | None:
-    """Return a file that lines are added to, or a pipe that somebody reads.
+    """Validate a file for appending, or a pipe with a reader.
 
     Raises:
-        UserError: nobody reads the pipe; whoever opened it would wait.
+        UserError: if the pipe has no reader: opening it would block.
     """
     import os
 
@@ -75,16 +75,16 @@ def written_on(value: Path | None) -> Path | None:
         try:
             os.close(os.open(value, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC))
         except OSError:
-            raise UserError(f"nobody reads the pipe {value}", code=ExitCode.NOT_RUN) from None
+            raise UserError(f"the pipe {value} has no reader", code=ExitCode.NOT_RUN) from None
     return value
 
 
 def certificates(value: Path | None) -> Path | None:
-    """Return a file of keys or certificates, which TLS opens by its name and waits for if it is a pipe.
+    """Validate a regular file of keys or certificates; TLS would block on a pipe.
 
     Raises:
-        NotFoundError: there is none.
-        UserError: it cannot be read, or is no file.
+        NotFoundError: if there is none.
+        UserError: if it cannot be read, or is no file.
     """
     from xpl_cli.basics import files
     from xpl_cli.basics.errors import NotFoundError, UserError
@@ -101,10 +101,10 @@ def certificates(value: Path | None) -> Path | None:
 
 
 def address(value: str | None) -> str | None:
-    """Return the address of a policy server.
+    """Validate the address of a policy server.
 
     Raises:
-        BadParameter: it is none.
+        BadParameter: if it is malformed.
     """
     from urllib.parse import urlsplit
 
@@ -121,10 +121,10 @@ def address(value: str | None) -> str | None:
 
 
 def number(value: Any) -> Any:
-    """Return a number that can be reckoned with.
+    """Validate a number.
 
     Raises:
-        BadParameter: it is infinite, no number at all, or beyond 64 bits.
+        BadParameter: if it is infinite, NaN, or beyond 64 bits.
     """
     if isinstance(value, float) and not math.isfinite(value):
         raise typer.BadParameter(f"expected a finite number, got {value}")
@@ -133,9 +133,9 @@ def number(value: Any) -> Any:
     return value
 
 
-def quote_value(given: str) -> str:
-    """Return a value as a sentence shows it."""
-    return repr(given) if len(given) <= _SHOWN else f"{given[:_SHOWN]!r}..."
+def quote_value(value: str) -> str:
+    """Return a value, quoted and shortened, for messages."""
+    return repr(value) if len(value) <= _SHOWN else f"{value[:_SHOWN]!r}..."
 
 
 def _is_too_long(name: str) -> bool:

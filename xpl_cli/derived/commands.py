@@ -1,4 +1,4 @@
-"""The page of all commands, written from the command line itself; a test writes it again and compares."""
+"""The page of all commands, generated from the command line; a test compares it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xpl_cli.derived.reference import NOTE, table
 from xpl_cli.standard import answers
 
 PAGE = "docs/commands.md"
-"""Where the page is, in a checkout."""
+"""Path of the page in a checkout."""
 
 _INTRODUCTION = """\
 Every command, as `--help` shows it. Data goes to standard output, or with `--output FILE` to a file. Everything else
@@ -22,7 +22,7 @@ command that cannot do what you asked answers with `xpl.error/1`.
 
 
 def page(root: Any) -> str:
-    """Return the page, in the order of `xpl --help`, without commands that are hidden there.
+    """Return the page, in the order of `xpl --help`, without hidden commands.
 
     Args:
         root: the whole command line, as typer builds it.
@@ -38,7 +38,7 @@ def page(root: Any) -> str:
 
 
 def _members(commands: dict[str, Any], parent: object) -> Iterator[str]:
-    """Yield the lines of commands, by their names; of a group's, too."""
+    """Yield the lines of commands, including those of groups."""
     for name, command in commands.items():
         if command.hidden:
             continue
@@ -57,7 +57,7 @@ def _members(commands: dict[str, Any], parent: object) -> Iterator[str]:
 
 
 def _ends(command: Any, context: Any) -> Iterator[str]:
-    """Yield what a command answers with --json, and its exit codes where it says more of them than all commands do."""
+    """Yield the JSON schemas of a command, and its specific exit codes."""
     names = answers.of_command(context.command_path)
     if names:
         yield from (f"With `--json`: {' or '.join(f'`{name}`' for name in names)}.", "")
@@ -66,7 +66,7 @@ def _ends(command: Any, context: Any) -> Iterator[str]:
 
 
 def _panel(parameter: object) -> str:
-    """Return the heading below which --help shows a parameter, empty for none of its own."""
+    """Return the help panel of a parameter, or an empty text."""
     return str(getattr(parameter, "rich_help_panel", None) or "")
 
 
@@ -76,7 +76,7 @@ def _paragraphs(text: str) -> Iterator[str]:
 
 
 def _argument(parameter: Any) -> str:
-    """Return how an argument stands in a command: `POLICY`, `[NAME]`, `[PATH]...`."""
+    """Return an argument in a usage line: `POLICY`, `[NAME]`, `[PATH]...`."""
     name = _word(parameter)
     return (name if parameter.required else f"[{name}]") + ("..." if parameter.nargs == -1 else "")
 
@@ -90,11 +90,11 @@ def _name(parameter: Any) -> str:
 
 
 def _word(parameter: Any) -> str:
-    """Return what stands for a value: what the command calls it, or the parameter's name."""
+    """Return the placeholder of a value: its metavar or the parameter's name."""
     return str(parameter.metavar or parameter.opts[0].lstrip("-").replace("-", "_").upper()).strip("[].")
 
 
 def _meaning(parameter: Any, context: Any) -> str:
     """Return the help of a parameter, with its default; angle brackets would be tags in Markdown."""
-    _, told = parameter.get_help_record(context)
-    return str(told).replace("<", "&lt;")
+    _, text = parameter.get_help_record(context)
+    return str(text).replace("<", "&lt;")

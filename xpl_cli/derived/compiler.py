@@ -1,8 +1,8 @@
-"""Compile `spec/` into what follows from it: what the SDK knows of the standard, and pages of documentation.
+"""Compile `spec/` into the SDK's constants and pages of documentation.
 
-The SDK runs where only numpy is installed: it can read neither YAML nor JSON Schema at a reasonable price. So it gets
-names and numbers as a module of constants (`xpl/_spec.py`), and robots as JSON, which it reads when one is asked for.
-Both are committed, and a test compiles them again and compares.
+The SDK needs only numpy, without YAML and JSON Schema. So names and numbers are compiled to a module of constants
+(`xpl/_spec.py`), and robots to JSON, which is read on demand. Both are committed, and a test compares them with a new
+compilation.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from typing import Any
 
 
 REFERENCE = "docs/reference"
-"""Where the reference pages are, in a checkout."""
+"""Folder of the reference pages in a checkout."""
 
 
 def generated_files(root: object) -> dict[str, bytes]:
-    """Return every file that is generated, relative to the checkout: the SDK's constants and pages of documentation.
+    """Return all generated files, relative to the checkout: the SDK's constants and pages of documentation.
 
     Args:
         root: the whole command line, as typer builds it.
@@ -47,7 +47,7 @@ def generated_files(root: object) -> dict[str, bytes]:
 
 
 def obsolete_pages(root: Path) -> list[str]:
-    """Return the pages of a checkout, relative to it, that were generated once and follow from nothing any more."""
+    """Return the generated pages of a checkout, relative to it, that are obsolete."""
     from xpl_cli.derived import rules
 
     folders = (REFERENCE, rules.FOLDER)
@@ -56,7 +56,7 @@ def obsolete_pages(root: Path) -> list[str]:
 
 
 def _folders() -> dict[str, str]:
-    """Return the pages of the folders that hold nothing else."""
+    """Return the pages of folders with generated pages only."""
     from xpl_cli.derived import reference, rules
 
     return {
@@ -151,7 +151,7 @@ def compile_source() -> str:
 
 
 def compile_robots() -> str:
-    """Return the text of `xpl/robots/robots.json`: robots, and words for them."""
+    """Return the text of `xpl/robots/robots.json`: robots and their aliases."""
     known: dict[str, Mapping[str, Any]] = {
         "robots": robots.entries(),
         "words": robots.aliases(),
@@ -164,10 +164,10 @@ def compile_robots() -> str:
 
 
 def _stored(name: str, known: Mapping[str, Any], readers: Mapping[str, list[str]]) -> str:
-    """Return the name under which a trajectory has a leaf of the observation: its own, its plural, or another spelling.
+    """Return the name of an observation's leaf in a trajectory: its own, its plural, or another spelling.
 
     Raises:
-        ValueError: it has none of them.
+        ValueError: if it has none of them.
     """
     candidates = (name, f"{name}s", *readers.get(name, ()))
     found: str | None = next((candidate for candidate in candidates if candidate in known), None)
@@ -182,7 +182,7 @@ def _class(name: str, keys: list[str]) -> str:
 
 
 def _constant(name: str) -> str:
-    """Return the attribute under which a key or file name is reached: `env_idx` as ENV_IDX, `model.py` as MODEL_PY."""
+    """Return the attribute name of a key or file name: `env_idx` as ENV_IDX, `model.py` as MODEL_PY."""
     return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_").upper()
 
 

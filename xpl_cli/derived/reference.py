@@ -1,4 +1,4 @@
-"""Reference pages of the standard, written from `spec/` as Markdown; a test writes them again and compares."""
+"""Reference pages of the standard, generated from `spec/` as Markdown; a test compares them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule
 
 NOTE = "<!-- Written by `xpl spec compile`. Do not edit. -->\n"
-"""How every page that is written begins."""
+"""First line of every generated page."""
 
 _UNKNOWN = "not known"
 _CATALOGUE = (

@@ -1,4 +1,4 @@
-"""`xpl report`: the page of a recorded run, and the same as Markdown, CSV and JSON."""
+"""`xpl report`: the report of a recorded run as HTML, Markdown, CSV and JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def report(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders of runs, as `xpl eval --out` fills them."),
     out: Path | None = typer.Option(None, metavar="DIR", help="Folder of the report; RUN/report by default."),
     embed: float = typer.Option(
-        16.0, min=0.0, metavar="MB", help="Films and curves that the page itself holds; the rest is linked."
+        16.0, min=0.0, metavar="MB", help="Videos and curves embedded in the page; the rest is linked."
     ),
     skip_bad_lines: bool = SKIP_BAD_LINES,
     as_json: bool = typer.Option(False, "--json", help="Print a JSON object for each run, one a line."),
