@@ -29,8 +29,8 @@ def test_a_server_in_the_background_is_asked_and_ended(tmp_path: Path) -> None:
     # As where the first process of a container collects nobody: what has ended stays in the table of processes.
     processes.adopt_orphans()
     try:
-        told = json.loads(_bash(start, tmp_path))
-        assert told["event"] == "ready"
+        line = json.loads(_bash(start, tmp_path))
+        assert line["event"] == "ready"
         answer = subprocess.run(
             [sys.executable, "scratch.py"], cwd=tmp_path, check=True, capture_output=True, text=True, env=_environment()
         )
@@ -44,8 +44,8 @@ def test_a_server_in_the_background_is_asked_and_ended(tmp_path: Path) -> None:
 
 def test_a_server_that_cannot_start_ends_the_wait(tmp_path: Path) -> None:
     start, _ = [block.text for block in pages.blocks([PAGE]) if block.language == "bash"]
-    told = _bash(start.replace("POLICY", str(tmp_path / "Nowhere")), tmp_path)
-    assert '"event": "ready"' not in told
+    line = _bash(start.replace("POLICY", str(tmp_path / "Nowhere")), tmp_path)
+    assert '"event": "ready"' not in line
     assert "Nowhere" in (tmp_path / "serve.log").read_text()
 
 
@@ -60,7 +60,7 @@ def _bash(text: str, folder: Path) -> str:
     (tools / "xpl").write_text(f'#!/bin/sh\nexec "{sys.executable}" -m xpl_cli "$@"\n')
     (tools / "xpl").chmod(0o755)
     path = f"{tools}{os.pathsep}{os.environ['PATH']}"
-    done = subprocess.run(
+    completed = subprocess.run(
         [shutil.which("bash") or "bash", "-c", text.replace("sleep 1", "sleep 0.1")],
         cwd=folder,
         env={**_environment(), "PATH": path},
@@ -68,4 +68,4 @@ def _bash(text: str, folder: Path) -> str:
         stdout=subprocess.PIPE,
         text=True,
     )
-    return done.stdout
+    return completed.stdout

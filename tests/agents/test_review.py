@@ -42,8 +42,10 @@ STATIC = ("--base", "main", "--gate", "static")
 def git(folder: Path, *arguments: str) -> str:
     who = ["-c", "user.name=Somebody", "-c", "user.email=somebody@example.org", "-c", "commit.gpgsign=false"]
     command = [str(shutil.which("git")), *who, *arguments]
-    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL)
-    return done.stdout.strip()
+    completed = subprocess.run(
+        command, cwd=folder, check=True, capture_output=True, text=True, stdin=subprocess.DEVNULL
+    )
+    return completed.stdout.strip()
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +82,9 @@ def spoil(package: Path, text: str = SWALLOWS) -> None:
 
 def reviewed(folder: Path, *options: str) -> dict[str, Any]:
     """Return a review as JSON; its exit code is the one that it names."""
-    done = xpl("review", *(options or STATIC), "--json", cwd=folder)
-    document: dict[str, Any] = json.loads(done.stdout)
-    assert done.returncode == document["exit_code"], done.stderr
+    completed = xpl("review", *(options or STATIC), "--json", cwd=folder)
+    document: dict[str, Any] = json.loads(completed.stdout)
+    assert completed.returncode == document["exit_code"], completed.stderr
     return document
 
 
@@ -102,41 +104,41 @@ def test_packages_that_came_changed_or_went_are_told_and_others_left_alone(repos
     git(repository, "commit", "--quiet", "-m", "work")
     (repository / "policy/Foo/notes.txt").write_text("not committed\n", encoding="utf-8")
     (repository / "README.md").write_text("about\n", encoding="utf-8")
-    found = reviewed(repository)
-    assert [(entry["path"], entry["change"]) for entry in found["packages"]] == [
+    review = reviewed(repository)
+    assert [(entry["path"], entry["change"]) for entry in review["packages"]] == [
         ("policy/Bar", "added"),
         ("policy/Foo", "changed"),
     ]
-    assert (found["removed"], found["elsewhere"], found["verdict"]) == (["policy/Old"], 1, "open")
+    assert (review["removed"], review["elsewhere"], review["verdict"]) == (["policy/Old"], 1, "open")
 
 
 def test_a_change_of_no_package_is_reviewed_at_once(repository: Path) -> None:
     (repository / "README.md").write_text("about\n", encoding="utf-8")
-    done = xpl("review", *STATIC, cwd=repository)
-    assert done.returncode == ExitCode.CLEAN
-    assert "touches no policy and no environment" in done.stdout
-    assert "|" not in done.stdout
+    completed = xpl("review", *STATIC, cwd=repository)
+    assert completed.returncode == ExitCode.CLEAN
+    assert "touches no policy and no environment" in completed.stdout
+    assert "|" not in completed.stdout
 
 
 def test_it_may_be_called_from_a_folder_below(repository: Path) -> None:
     spoil(repository / "policy/Foo")
-    found = reviewed(repository / "policy")
-    assert [entry["name"] for entry in found["packages"]] == ["Foo"]
-    assert found["next"][-1] == "xpl audit Foo --gate static"
+    review = reviewed(repository / "policy")
+    assert [entry["name"] for entry in review["packages"]] == ["Foo"]
+    assert review["next"][-1] == "xpl audit Foo --gate static"
 
 
 @pytest.mark.parametrize("ref", ["nowhere", "--output=trace", ""])
 def test_a_commit_that_is_not_there_is_told(repository: Path, ref: str) -> None:
-    done = xpl("review", f"--base={ref}", cwd=repository)
-    assert (done.returncode, done.stdout) == (ExitCode.USAGE, "")
-    assert "has no commit" in done.stderr
+    completed = xpl("review", f"--base={ref}", cwd=repository)
+    assert (completed.returncode, completed.stdout) == (ExitCode.USAGE, "")
+    assert "has no commit" in completed.stderr
     assert not (repository / "trace").exists()
 
 
 def test_outside_of_git_nobody_knows_what_changed(tmp_path: Path) -> None:
-    done = xpl("review", "--base", "main", cwd=tmp_path)
-    assert done.returncode == ExitCode.USAGE
-    assert "needs a git repository" in done.stderr
+    completed = xpl("review", "--base", "main", cwd=tmp_path)
+    assert completed.returncode == ExitCode.USAGE
+    assert "needs a git repository" in completed.stderr
 
 
 # --- What is found ----------------------------------------------------------------------------------------------------
@@ -151,11 +153,11 @@ def test_what_the_base_has_already_is_marked(repository: Path) -> None:
     git(repository, "branch", "--force", "main")
     model = repository / "policy/Foo/model.py"
     model.write_text(f"# moved\n{model.read_text(encoding='utf-8')}{SWALLOWS}", encoding="utf-8")
-    found = reviewed(repository)
-    state = {entry["code"]: entry["was_there_before"] for entry in found["findings"]}
+    review = reviewed(repository)
+    state = {entry["code"]: entry["was_there_before"] for entry in review["findings"]}
     assert state["XPL116"] is False
     assert state["XPL139"] is True  # the template's placeholders
-    bare = next(entry for entry in found["findings"] if entry["code"] == "XPL131")
+    bare = next(entry for entry in review["findings"] if entry["code"] == "XPL131")
     assert bare["was_there_before"] is False
     assert len(bare["also"]) == 1
 
@@ -166,23 +168,23 @@ def test_a_package_may_be_the_whole_repository(started: Path, tmp_path: Path) ->
     git(package, "add", ".")
     git(package, "commit", "--quiet", "-m", "start")
     spoil(package, "\n# changed\n")
-    found = reviewed(package)
-    assert [entry["path"] for entry in found["packages"]] == ["."]
-    assert "XPL103" in {entry["code"] for entry in found["findings"]}
-    assert all(entry["was_there_before"] for entry in found["findings"])
+    review = reviewed(package)
+    assert [entry["path"] for entry in review["packages"]] == ["."]
+    assert "XPL103" in {entry["code"] for entry in review["findings"]}
+    assert all(entry["was_there_before"] for entry in review["findings"])
 
 
 def test_the_whole_audit_is_in_every_format_of_it(repository: Path) -> None:
     spoil(repository / "policy/Foo")
     written = ("--output", "sarif=a.sarif", "--output", "github=a.txt", "--output", "review.md")
-    done = xpl("review", *STATIC, *written, cwd=repository)
-    assert (done.returncode, done.stdout) == (ExitCode.FINDINGS, "")
+    completed = xpl("review", *STATIC, *written, cwd=repository)
+    assert (completed.returncode, completed.stdout) == (ExitCode.FINDINGS, "")
     sarif = json.loads((repository / "a.sarif").read_text(encoding="utf-8"))
     assert "XPL116" in {result["ruleId"] for result in sarif["runs"][0]["results"]}
     assert "::error file=policy/Foo/model.py" in (repository / "a.txt").read_text(encoding="utf-8")
-    told = (repository / "review.md").read_text(encoding="utf-8")
-    assert told.startswith(f"{page.MARK}\n## xpl review: changes are needed\n")
-    assert "1. **XPL116 reset-error-ignored** `policy/Foo/model.py:" in told
+    document = (repository / "review.md").read_text(encoding="utf-8")
+    assert document.startswith(f"{page.MARK}\n## xpl review: changes are needed\n")
+    assert "1. **XPL116 reset-error-ignored** `policy/Foo/model.py:" in document
     assert reviewed(repository)["audit"]["schema"] == spec.schema("audit")["title"]
 
 
@@ -197,19 +199,21 @@ def test_without_weights_the_shadow_is_audited(repository: Path) -> None:
         model.replace(head, f"{head}        import a_library_of_the_model\n\n        a_library_of_the_model.load()\n"),
         encoding="utf-8",
     )
-    done = xpl("review", "--base", "main", "--select", "XPL201", "--select", "XPL203", cwd=repository)
-    assert "shadow mode" in done.stdout, done.stdout + done.stderr
-    assert "a\\_library\\_of\\_the\\_model is not installed" in done.stdout
-    assert done.returncode == ExitCode.CLEAN
+    completed = xpl("review", "--base", "main", "--select", "XPL201", "--select", "XPL203", cwd=repository)
+    assert "shadow mode" in completed.stdout, completed.stdout + completed.stderr
+    assert "a\\_library\\_of\\_the\\_model is not installed" in completed.stdout
+    assert completed.returncode == ExitCode.CLEAN
 
 
 def test_every_requirement_has_a_place_in_the_order_of_harm() -> None:
     """A requirement that is new has to be judged; what leaks or sends wrong commands comes first."""
     names = [name for kind in HARMS for name in kind.requirements]
-    known = spec.requirements()
-    for requirement in known:
+    requirements = spec.requirements()
+    for requirement in requirements:
         assert any(requirement == name or requirement.startswith(f"{name}-") for name in names), requirement
-    assert [name for name in names if not any(item == name or item.startswith(f"{name}-") for item in known)] == []
+    assert [
+        name for name in names if not any(item == name or item.startswith(f"{name}-") for item in requirements)
+    ] == []
     ranks = [harm(f"XPL-{name}")[0] for name in ("PKG-3", "ACT-4", "EPI-1", "CON-1", "PKG-5")]
     assert ranks == list(range(len(HARMS)))
 
@@ -243,11 +247,11 @@ def test_ten_findings_are_told_in_order_of_harm() -> None:
         *("XPL122", "XPL121"),
         *(f"XPL{100 + number}" for number in range(8)),
     ]
-    told = page.render(made)
-    assert len(re.findall(r"^\d+\. \*\*XPL", told, re.MULTILINE)) == review.MOST
-    assert "3 findings of less harm not listed: XPL108, XPL109, XPL120." in told
-    assert "`policy/Foo/model.py:122`: sends a robot the wrong commands" in told
-    assert "also `policy/Foo/model.py:123`" in told
+    text = page.render(made)
+    assert len(re.findall(r"^\d+\. \*\*XPL", text, re.MULTILINE)) == review.MOST
+    assert "3 findings of less harm not listed: XPL108, XPL109, XPL120." in text
+    assert "`policy/Foo/model.py:122`: sends a robot the wrong commands" in text
+    assert "also `policy/Foo/model.py:123`" in text
 
 
 def test_a_review_fits_into_a_comment_and_calls_nobody() -> None:
@@ -256,13 +260,13 @@ def test_a_review_fits_into_a_comment_and_calls_nobody() -> None:
         finding(102, "XPL-ACT-2", Outcome.FAIL, "long " * 20_000),
         *(finding(number, "XPL-ACT-3", Outcome.FAIL, "short") for number in (103, 104)),
     )
-    told = page.render(made)
-    assert "XPL104" in told
-    assert len(told) < 65_536
+    text = page.render(made)
+    assert "XPL104" in text
+    assert len(text) < 65_536
     assert len(page._truncate(["long"] * 20_000)) < 65_536
-    assert "@everyone" not in told
-    assert "!\\[x\\]" in told
-    assert "<b>" not in told
+    assert "@everyone" not in text
+    assert "!\\[x\\]" in text
+    assert "<b>" not in text
 
 
 # --- The description --------------------------------------------------------------------------------------------------
@@ -277,10 +281,10 @@ def filled(finish: list[str]) -> str:
 
 def test_the_form_is_complete_once_it_is_filled_in() -> None:
     assert form.sections(FORM).keys() >= {"What it is", "What was proved", "What was not proved"}
-    asked = form.sections(FORM).values()
-    places = sum(len(section.fields) + len(section.boxes) for section in asked)
-    free = sum(not (section.fields or section.boxes) for section in asked)
-    assert len(list(form.unfilled_fields(FORM, FORM))) == places + free
+    template = form.sections(FORM).values()
+    unfilled = sum(len(section.fields) + len(section.boxes) for section in template)
+    free = sum(not (section.fields or section.boxes) for section in template)
+    assert len(list(form.unfilled_fields(FORM, FORM))) == unfilled + free
     assert list(form.unfilled_fields(filled(["XPL-FINISH"]), FORM)) == []
     assert list(form.unfilled_fields(filled(["XPL-FINISH"]).replace("\n", "\r\n"), FORM)) == []
     hidden = filled(["XPL-FINISH"]).replace("No robot has seen it.", "<!-- No robot has seen it. -->")
@@ -291,16 +295,16 @@ def test_the_form_is_complete_once_it_is_filled_in() -> None:
 @pytest.mark.slow
 def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path) -> None:
     package = add_policy(repository)
-    done = xpl("audit", "policy/Bar", "--gate", "static", "--json", cwd=repository)
-    (gate,) = json.loads(done.stdout)["targets"][0]["gates"]
+    completed = xpl("audit", "policy/Bar", "--gate", "static", "--json", cwd=repository)
+    (gate,) = json.loads(completed.stdout)["targets"][0]["gates"]
     others = [f"XPL-FINISH gate={name} pass pass=1 digest=0 fingerprint=elsewhere" for name in ("offline", "mujoco")]
     text = repository / "description.md"
     options = (*STATIC, "--description", str(text))
 
     text.write_text(filled([gate["finish"], *others]), encoding="utf-8")
-    found = reviewed(repository, *options)
-    assert (found["verdict"], found["description"]["problems"]) == ("open", [])
-    assert len(found["description"]["notes"]) == 2, "a digest of another machine is no proof here"
+    review = reviewed(repository, *options)
+    assert (review["verdict"], review["description"]["problems"]) == ("open", [])
+    assert len(review["description"]["notes"]) == 2, "a digest of another machine is no proof here"
 
     shadow = f"{others[0]} profile=shadow"
     text.write_text(filled([gate["finish"], shadow]), encoding="utf-8")
@@ -312,9 +316,9 @@ def test_a_policy_needs_a_description_that_belongs_to_its_files(repository: Path
 
     spoil(package, "\n# changed after the audit\n")
     text.write_text(filled([gate["finish"], *others]), encoding="utf-8")
-    found = reviewed(repository, *options)
-    assert found["exit_code"] == ExitCode.FINDINGS
-    (problem,) = found["description"]["problems"]
+    review = reviewed(repository, *options)
+    assert review["exit_code"] == ExitCode.FINDINGS
+    (problem,) = review["description"]["problems"]
     assert "the static gate of the description is not that of these files" in problem
     assert gate["digest"] in problem
 
@@ -324,7 +328,7 @@ def test_a_description_is_held_against_the_form_of_the_base(repository: Path) ->
     add_policy(repository)
     box = next(line for line in FORM.splitlines() if line.startswith("- [ ]"))
     (repository / TEMPLATE).write_text(FORM.replace(f"{box}\n", ""), encoding="utf-8")
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "xpl_cli", "review", *STATIC, "--description", "-"],
         cwd=repository,
         input=filled(["XPL-FINISH gate=static pass pass=1 digest=0 fingerprint=elsewhere"]).replace(
@@ -334,18 +338,18 @@ def test_a_description_is_held_against_the_form_of_the_base(repository: Path) ->
         text=True,
         check=False,
     )
-    assert done.returncode == ExitCode.FINDINGS
-    assert "### Description" in done.stdout
-    assert "is missing" in done.stdout
+    assert completed.returncode == ExitCode.FINDINGS
+    assert "### Description" in completed.stdout
+    assert "is missing" in completed.stdout
 
 
 def test_a_small_change_needs_no_form(repository: Path) -> None:
     (repository / "policy/Foo/notes.txt").write_text("a note\n", encoding="utf-8")
     text = repository / "description.md"
     text.write_text("Adds a note.\n", encoding="utf-8")
-    found = reviewed(repository, *STATIC, "--description", str(text))
-    assert (found["description"]["form"], found["description"]["problems"]) == (None, [])
-    assert "was not checked: the change adds no policy" in found["description"]["notes"][0]
+    review = reviewed(repository, *STATIC, "--description", str(text))
+    assert (review["description"]["form"], review["description"]["problems"]) == (None, [])
+    assert "was not checked: the change adds no policy" in review["description"]["notes"][0]
     text.write_text(FORM, encoding="utf-8")
     assert reviewed(repository, *STATIC, "--description", str(text))["description"]["problems"]
 
@@ -360,9 +364,9 @@ def test_what_was_there_before_makes_no_review_red_unless_asked(repository: Path
     git(repository, "branch", "--force", "main")
     with (repository / "policy/Foo/README.md").open("a", encoding="utf-8") as readme:
         readme.write("A typo less.\n")
-    found = reviewed(repository)
-    assert (found["verdict"], found["exit_code"]) == ("open", ExitCode.CLEAN)
-    assert {entry["was_there_before"] for entry in found["findings"]} == {True}
+    review = reviewed(repository)
+    assert (review["verdict"], review["exit_code"]) == ("open", ExitCode.CLEAN)
+    assert {entry["was_there_before"] for entry in review["findings"]} == {True}
     assert reviewed(repository, *STATIC, "--fail-on", "all")["exit_code"] == ExitCode.FINDINGS
     with (repository / "policy/Foo/model.py").open("a", encoding="utf-8") as model:
         model.write("\n    def reset(self, why):\n        pass\n")
@@ -381,10 +385,10 @@ def test_only_documents_leave_what_was_not_proved_before_open(repository: Path) 
         for outcome, findings in ((Outcome.FAIL, (Finding("it"),)), (Outcome.NOT_RUN, ()))
     ]
     report = TargetReport(path=path, name="Foo", kind="policy", gates=gates)
-    for same, wanted in ((frozenset((path,)), Outcome.PASS), (frozenset[str](), None)):
+    for same, expected in ((frozenset((path,)), Outcome.PASS), (frozenset[str](), None)):
         (judged,) = new_findings.without_old_findings([report], ReportContext(here=repository), set(), same)
         outcomes = [gate.outcome for gate in judged.gates]
-        assert outcomes == ([wanted] * 2 if wanted else [Outcome.FAIL, Outcome.NOT_RUN])
+        assert outcomes == ([expected] * 2 if expected else [Outcome.FAIL, Outcome.NOT_RUN])
     (repository / "policy/Foo/model.py").write_text("", encoding="utf-8")
     assert not change_since("main", Repository.of(repository)).packages[0].documents_only
 
@@ -403,10 +407,10 @@ def test_a_description_that_is_no_text_is_refused(
         file.mkdir()
     else:
         file.write_bytes(b"x" * (1 << 20) + b"y")
-    done = commands.xpl("review", *STATIC, "--description", file, folder=repository)
-    assert (done.code, done.stdout) == (ExitCode.USAGE, "")
-    assert f"--description {file} " in done.stderr
-    assert commands.problem(done) is None
+    completed = commands.xpl("review", *STATIC, "--description", file, folder=repository)
+    assert (completed.code, completed.stdout) == (ExitCode.USAGE, "")
+    assert f"--description {file} " in completed.stderr
+    assert commands.problem(completed) is None
 
 
 @given(text=st.text(min_size=1))

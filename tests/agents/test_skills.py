@@ -31,13 +31,13 @@ each_skill = pytest.mark.parametrize("skill", bundles.bundles(), ids=lambda skil
 class Answer:
     """What a command printed and how it ended."""
 
-    def __init__(self, done: Any) -> None:
-        if done.exception is not None and not isinstance(done.exception, (SystemExit, UserError)):
-            raise done.exception
-        refused = done.exception if isinstance(done.exception, UserError) else None
-        self.out = done.stdout
-        self.code = int(refused.code) if refused else done.exit_code
-        self.err = f"{refused} {refused.hint or ''}" if refused else done.stderr
+    def __init__(self, completed: Any) -> None:
+        if completed.exception is not None and not isinstance(completed.exception, (SystemExit, UserError)):
+            raise completed.exception
+        refused = completed.exception if isinstance(completed.exception, UserError) else None
+        self.out = completed.stdout
+        self.code = int(refused.code) if refused else completed.exit_code
+        self.err = f"{refused} {refused.hint or ''}" if refused else completed.stderr
 
     @property
     def json(self) -> Any:
@@ -74,13 +74,13 @@ def skills(project: Path, home: Path, monkeypatch: pytest.MonkeyPatch) -> Callab
 
 
 def _tree(folder: Path) -> dict[str, bytes | str]:
-    found: dict[str, bytes | str] = {}
+    entries: dict[str, bytes | str] = {}
     for path in folder.rglob("*"):
         if path.is_symlink():
-            found[str(path.relative_to(folder))] = str(path.readlink())
+            entries[str(path.relative_to(folder))] = str(path.readlink())
         elif path.is_file():
-            found[str(path.relative_to(folder))] = path.read_bytes()
-    return found
+            entries[str(path.relative_to(folder))] = path.read_bytes()
+    return entries
 
 
 # -- the bundles -------------------------------------------------------------------------------------------------------
@@ -161,9 +161,9 @@ def test_skills_are_listed_and_printed(skills: Callable[..., Answer]) -> None:
 
 
 def test_an_unknown_skill_names_the_nearest(skills: Callable[..., Answer]) -> None:
-    done = skills("get", "xpl-audit-polcy")
-    assert done.code == 3
-    assert "did you mean xpl-audit-policy?" in done.err
+    completed = skills("get", "xpl-audit-polcy")
+    assert completed.code == 3
+    assert "did you mean xpl-audit-policy?" in completed.err
 
 
 # -- install -----------------------------------------------------------------------------------------------------------
@@ -222,8 +222,8 @@ def test_a_trial_run_writes_nothing_and_a_project_keeps_its_own_agents_file(
     (project / "CLAUDE.md").write_text("# Mine\n", encoding="utf-8")
     (project / "AGENTS.md").write_text("# Mine\n", encoding="utf-8")
     before = _tree(project)
-    done = skills("install", "--dry-run", "--json")
-    assert {item["state"] for item in done.json["items"]} == {"written", "linked", "left"}
+    completed = skills("install", "--dry-run", "--json")
+    assert {item["state"] for item in completed.json["items"]} == {"written", "linked", "left"}
     assert _tree(project) == before
     skills("install")
     assert (project / "AGENTS.md").read_text(encoding="utf-8") == f"# Mine\n\n{instructions.block()}\n"
@@ -245,8 +245,8 @@ def test_copies_where_links_do_not_work(project: Path, monkeypatch: pytest.Monke
         raise PermissionError(1, "Operation not permitted", str(self))
 
     monkeypatch.setattr(Path, "symlink_to", refuse)
-    done = installation.Installation(project, "project").install(bundles.bundles()[:1], ["claude"])
-    assert [item.state for item in done] == ["written", "copied"]
+    results = installation.Installation(project, "project").install(bundles.bundles()[:1], ["claude"])
+    assert [item.state for item in results] == ["written", "copied"]
     assert bundles.read(project / ".claude/skills" / NAMES[0]).name == NAMES[0]
 
 
@@ -265,9 +265,9 @@ def test_an_older_copy_is_renewed(skills: Callable[..., Answer], project: Path) 
     place = project / ".agents/skills" / NAMES[0]
     _age(place)
     assert skills("check").code == 1
-    done = skills("install", "--json")
-    assert done.code == 0
-    assert [item["path"] for item in done.json["items"] if item["state"] == "renewed"] == [str(place)]
+    completed = skills("install", "--json")
+    assert completed.code == 0
+    assert [item["path"] for item in completed.json["items"] if item["state"] == "renewed"] == [str(place)]
     assert skills("check").code == 0
 
 
@@ -275,10 +275,10 @@ def test_an_edited_copy_is_its_users(skills: Callable[..., Answer], project: Pat
     skills("install")
     path = project / ".agents/skills" / NAMES[0] / bundles.FILE
     path.write_text("mine", encoding="utf-8")
-    done = skills("install")
-    assert done.code == 1
+    completed = skills("install")
+    assert completed.code == 1
     assert path.read_text(encoding="utf-8") == "mine"
-    assert "--overwrite" in done.out
+    assert "--overwrite" in completed.out
     assert skills("install", "--overwrite").code == 0
     assert path.read_text(encoding="utf-8") != "mine"
 
@@ -288,8 +288,8 @@ def test_what_is_not_ours_is_never_replaced(skills: Callable[..., Answer], proje
     path = project / folder / NAMES[0] / bundles.FILE
     path.parent.mkdir(parents=True)
     path.write_text("somebody else's", encoding="utf-8")
-    done = skills("install", "--overwrite")
-    assert done.code == 1
+    completed = skills("install", "--overwrite")
+    assert completed.code == 1
     assert path.read_text(encoding="utf-8") == "somebody else's"
     assert (project / folder / NAMES[1] / bundles.FILE).is_file()
 
@@ -304,9 +304,9 @@ def test_a_link_to_elsewhere_is_left(skills: Callable[..., Answer], project: Pat
 
 def test_a_place_that_cannot_be_written_is_told(skills: Callable[..., Answer], project: Path) -> None:
     (project / ".agents").write_text("a file", encoding="utf-8")
-    done = skills("install")
-    assert done.code == 4
-    assert ".agents" in done.err
+    completed = skills("install")
+    assert completed.code == 4
+    assert ".agents" in completed.err
 
 
 def test_one_link_for_the_whole_folder_is_as_good(skills: Callable[..., Answer], project: Path) -> None:
@@ -322,10 +322,10 @@ def test_one_link_for_the_whole_folder_is_as_good(skills: Callable[..., Answer],
     [(["--agent", "emacs"], 2), (["--user", "--dir", "."], 2), (["--dir", "nowhere"], 3), (["xpl-nothing"], 3)],
 )
 def test_wrong_calls_are_refused(skills: Callable[..., Answer], arguments: list[str], code: int) -> None:
-    done = skills("install", *arguments)
-    assert done.code == code
-    assert done.err
-    assert not done.out
+    completed = skills("install", *arguments)
+    assert completed.code == code
+    assert completed.err
+    assert not completed.out
 
 
 # -- the rules that always apply ---------------------------------------------------------------------------------------
@@ -351,9 +351,9 @@ def test_around_the_block_nothing_changes(skills: Callable[..., Answer], project
 def test_somebodys_own_claude_file_is_left(skills: Callable[..., Answer], project: Path) -> None:
     path = project / "CLAUDE.md"
     path.write_text("# Mine\n", encoding="utf-8")
-    done = skills("install")
-    assert done.code == 1
-    assert "@AGENTS.md" in done.out
+    completed = skills("install")
+    assert completed.code == 1
+    assert "@AGENTS.md" in completed.out
     assert path.read_text(encoding="utf-8") == "# Mine\n"
     checked = skills("check", "--json")
     assert checked.code == 0
@@ -386,9 +386,9 @@ def test_instructions_may_be_left_out(skills: Callable[..., Answer], project: Pa
 
 
 def test_nothing_to_check(skills: Callable[..., Answer]) -> None:
-    done = skills("check")
-    assert done.code == 3
-    assert "xpl skills install" in done.err
+    completed = skills("check")
+    assert completed.code == 3
+    assert "xpl skills install" in completed.err
 
 
 def _stale(project: Path) -> None:
@@ -444,11 +444,11 @@ def test_what_keeps_a_skill_from_agents_is_found(
     skills("install")
     assert skills("check").code == 0
     spoil(project)
-    done = skills("check", "--json")
-    assert done.code == 1
-    found = [finding for finding in done.json["findings"] if finding["kind"] == kind]
-    assert found
-    assert all(finding["fails"] and finding["fix"] for finding in found)
+    completed = skills("check", "--json")
+    assert completed.code == 1
+    findings = [finding for finding in completed.json["findings"] if finding["kind"] == kind]
+    assert findings
+    assert all(finding["fails"] and finding["fix"] for finding in findings)
     assert skills("check").out.startswith("FAIL")
 
 
@@ -462,10 +462,10 @@ def test_other_peoples_skills_are_told_and_fail_nothing(skills: Callable[..., An
         (other / bundles.FILE).write_text(text, encoding="utf-8")
     (folder / "other-0" / bundles.FILE).write_text("---\nname: another\ndescription: d\n---\n", encoding="utf-8")
     (folder / "lost").symlink_to("nowhere")
-    done = skills("check", "--json")
-    assert done.code == 0
-    assert sorted(finding["kind"] for finding in done.json["findings"]) == ["broken", "budget", "dropped"]
-    lengths = {listing["agent"]: listing for listing in done.json["listings"]}
+    completed = skills("check", "--json")
+    assert completed.code == 0
+    assert sorted(finding["kind"] for finding in completed.json["findings"]) == ["broken", "budget", "dropped"]
+    lengths = {listing["agent"]: listing for listing in completed.json["listings"]}
     assert lengths["codex"]["characters"] > lengths["codex"]["budget"]
     assert lengths["claude"]["skills"] == len(NAMES)
 

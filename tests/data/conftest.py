@@ -32,6 +32,6 @@ def converted() -> Iterator[Callable[..., job.ConversionReport]]:
         return job.convert(job.ConversionJob(source, target, to, options=WriteOptions(**options), **how), Progress())
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parallel, "in_processes", lambda each, things, _workers: map(each, things))
+        patch.setattr(parallel, "map_in_processes", lambda each, items, _workers: map(each, items))
         patch.setattr(parallel, "end_with_parent", lambda _parent: None)
         yield convert

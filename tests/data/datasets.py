@@ -67,8 +67,8 @@ def robotwin(folder: Path) -> Path:
         rows = [jpeg(picture(step)[..., ::-1]) for step in range(6)]
         file.create_dataset("observation/head_camera/rgb", data=rows, dtype=f"S{max(map(len, rows))}")
         file["observation/head_camera/intrinsic_cv"] = np.tile(np.eye(3), (6, 1, 1))
-    told = {"seen": ["stack them", "pile them up"], "unseen": ["build a tower"]}
-    (folder / "instructions" / "episode0.json").write_text(json.dumps(told), encoding="utf-8")
+    instructions = {"seen": ["stack them", "pile them up"], "unseen": ["build a tower"]}
+    (folder / "instructions" / "episode0.json").write_text(json.dumps(instructions), encoding="utf-8")
     return folder
 
 
@@ -138,8 +138,8 @@ def lerobot_v21(root: Path, episodes: int = 3) -> Path:
         video.parent.mkdir(parents=True, exist_ok=True)
         _mp4(video, [picture(step) for step in steps], 10)
         listed.append({"episode_index": index, "tasks": [SENTENCE], "length": len(steps)})
-        told = {"min": [0.0], "max": [1.0], "mean": [0.5], "std": [0.1], "count": [len(steps)]}
-        seen = {key: value if key == "count" else [[value]] * 3 for key, value in told.items()}
+        episode_lines = {"min": [0.0], "max": [1.0], "mean": [0.5], "std": [0.1], "count": [len(steps)]}
+        seen = {key: value if key == "count" else [[value]] * 3 for key, value in episode_lines.items()}
         statistics.append({"episode_index": index, "stats": {camera: seen}})
     features = {name: {"dtype": "float32", "shape": [width], "names": None} for name, width in numbers.items()}
     features[camera] = {"dtype": "video", "shape": [SIZE, SIZE, 3], "names": ["height", "width", "channels"]}
@@ -195,8 +195,8 @@ def lerobot_v30(root: Path) -> tuple[np.ndarray, np.ndarray]:
         f"videos/{video}/from_timestamp": (ends - lengths) / 10,
         f"videos/{video}/to_timestamp": ends / 10,
     }
-    for place in ("data", f"videos/{video}", "meta/episodes"):
-        rows |= {f"{place}/chunk_index": [0, 0], f"{place}/file_index": [0, 0]}
+    for location in ("data", f"videos/{video}", "meta/episodes"):
+        rows |= {f"{location}/chunk_index": [0, 0], f"{location}/file_index": [0, 0]}
     _parquet(root / "meta/episodes/chunk-000/file-000.parquet", rows)
     _parquet(root / "meta/tasks.parquet", {"task_index": [0], "__index_level_0__": [SENTENCE]})
     path = root / "videos" / video / "chunk-000/file-000.mp4"

@@ -1,4 +1,4 @@
-"""Each tutorial is followed in an empty folder: its files are written, its commands run, and its outputs are looked for."""
+"""Each tutorial is followed in an empty folder: its files are written, its commands run, its outputs compared."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support import pages
-from tests.support.places import ROOT, tracked
+from tests.support.checkout import ROOT, tracked
 
 TUTORIALS = tracked("docs/tutorials/*.md")
 _TIMEOUT_S = 300

@@ -46,15 +46,15 @@ def state(folder: Path) -> dict[str, tuple[bytes, int]]:
 
 
 def test_everything_that_the_files_state_is_declared(adapter: Path) -> None:
-    found = read(adapter)
-    assert found["spec"] == spec.VERSION
-    assert found["name"] == "Grasp"
-    assert found["embodiments"] == ["arx_x5"]
-    assert found["action_types"] == ["joint"]
-    assert found["evaluation_only"] is False
-    assert found["environment"]["manager"] == "conda"
-    assert found["environment"]["python"] == "3.10"
-    assert found["methods"] == ["set_language"]
+    manifest = read(adapter)
+    assert manifest["spec"] == spec.VERSION
+    assert manifest["name"] == "Grasp"
+    assert manifest["embodiments"] == ["arx_x5"]
+    assert manifest["action_types"] == ["joint"]
+    assert manifest["evaluation_only"] is False
+    assert manifest["environment"]["manager"] == "conda"
+    assert manifest["environment"]["python"] == "3.10"
+    assert manifest["methods"] == ["set_language"]
 
 
 def test_what_deploy_yml_says_comes_before_what_documents_show(adapter: Path) -> None:
@@ -63,8 +63,8 @@ def test_what_deploy_yml_says_comes_before_what_documents_show(adapter: Path) ->
             "action_type: null", "action_type: ee"
         )
     )
-    found = read(adapter)
-    assert (found["embodiments"], found["action_types"]) == (["franka_single"], ["ee"])
+    manifest = read(adapter)
+    assert (manifest["embodiments"], manifest["action_types"]) == (["franka_single"], ["ee"])
 
 
 @pytest.mark.parametrize(
@@ -85,25 +85,25 @@ def test_the_interpreter_is_the_one_that_a_script_makes(adapter: Path, script: s
 
 
 def test_nothing_is_concluded_from_code(adapter: Path) -> None:
-    found = read(adapter)
+    manifest = read(adapter)
     for key in UNKNOWN:
-        value = found[key]
+        value = manifest[key]
         entries = [value] if set(value) == {"unknown"} else list(value.values())
         assert all(set(entry) == {"unknown"} and entry["unknown"] for entry in entries), key
 
 
 def test_each_value_names_its_place(adapter: Path) -> None:
-    done = xpl("adopt", str(adapter), "--json", folder=adapter.parent)
-    assert done.code == ExitCode.CLEAN, done.stderr
-    answer = json.loads(done.stdout)
+    completed = xpl("adopt", str(adapter), "--json", folder=adapter.parent)
+    assert completed.code == ExitCode.CLEAN, completed.stderr
+    answer = json.loads(completed.stdout)
     keys = {entry["key"].partition(".")[0] for entry in answer["unknown"]}
     assert keys == {*UNKNOWN, "environment"}
     lines = {name: content.split("\n") for name, content in FILES.items()}
-    places = [place for fact in answer["facts"] for place in fact["evidence"] if place["line"]]
-    assert len(places) == 3
-    for place in places:
-        near = lines[place["file"]][place["line"] - 1]
-        assert any(word in near for word in re.findall(r"[A-Za-z_]{4,}", place["what"])), place
+    sources = [source for fact in answer["facts"] for source in fact["evidence"] if source["line"]]
+    assert len(sources) == 3
+    for source in sources:
+        near = lines[source["file"]][source["line"] - 1]
+        assert any(word in near for word in re.findall(r"[A-Za-z_]{4,}", source["what"])), source
 
 
 def test_what_is_unknown_keeps_nobody_from_running_the_adapter(adapter: Path) -> None:
@@ -141,10 +141,10 @@ def test_only_the_manifest_is_written_and_a_dry_run_prints_it(adapter: Path) -> 
 
 def test_a_manifest_that_is_there_is_not_replaced(adapter: Path) -> None:
     (adapter / "policy.yml").write_text("name: Mine\n")
-    done = xpl("adopt", str(adapter), folder=adapter.parent)
-    assert done.code == ExitCode.USAGE
-    assert "exists already" in done.stderr
-    assert "--merge" in done.stderr
+    completed = xpl("adopt", str(adapter), folder=adapter.parent)
+    assert completed.code == ExitCode.USAGE
+    assert "exists already" in completed.stderr
+    assert "--merge" in completed.stderr
     assert (adapter / "policy.yml").read_text() == "name: Mine\n"
 
 
@@ -155,22 +155,22 @@ def test_merge_appends_what_is_missing_and_keeps_every_byte(adapter: Path) -> No
     )
     (adapter / "policy.yml").write_text(mine)
     (adapter / "policy.yml").chmod(0o600)
-    done = xpl("adopt", str(adapter), "--merge", "--json", folder=adapter.parent)
-    assert json.loads(done.stdout)["state"] == "completed"
+    completed = xpl("adopt", str(adapter), "--merge", "--json", folder=adapter.parent)
+    assert json.loads(completed.stdout)["state"] == "completed"
     text = (adapter / "policy.yml").read_text()
     assert text.startswith(mine + "\n")
     assert (adapter / "policy.yml").stat().st_mode & 0o777 == 0o600
-    found = yaml.safe_load(text)
-    assert found["temporal"] == {"kind": "chunk", "chunk": 3}
-    assert found["embodiments"] == ["arx_x5"]
+    manifest = yaml.safe_load(text)
+    assert manifest["temporal"] == {"kind": "chunk", "chunk": 3}
+    assert manifest["embodiments"] == ["arx_x5"]
     again = xpl("adopt", str(adapter), "--merge", "--json", folder=adapter.parent)
     assert json.loads(again.stdout)["state"] == "unchanged"
     assert (adapter / "policy.yml").read_text() == text
 
 
 def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) -> None:
-    done = xpl("adopt", str(adapter), "--scripts", "--json", folder=adapter.parent)
-    names = set(json.loads(done.stdout)["files"])
+    completed = xpl("adopt", str(adapter), "--scripts", "--json", folder=adapter.parent)
+    names = set(json.loads(completed.stdout)["files"])
     scripts = {*spec.data("package")["scripts"], "install.sh"}
     assert names == {"policy.yml", *scripts} - {"install.sh", "train.sh", "process_data.sh"}
     assert all(os.access(adapter / name, os.X_OK) for name in names - {"policy.yml"})
@@ -178,7 +178,7 @@ def test_missing_scripts_come_only_on_request_and_replace_none(adapter: Path) ->
 
 
 def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
-    done = xpl(
+    completed = xpl(
         "adopt",
         str(adapter),
         "--set",
@@ -188,10 +188,10 @@ def test_values_of_the_user_outrank_what_is_read(adapter: Path) -> None:
         "--json",
         folder=adapter.parent,
     )
-    assert done.code == ExitCode.CLEAN
-    found = yaml.safe_load((adapter / "policy.yml").read_text())
-    assert (found["temporal"]["chunk"], found["embodiments"]) == (4, ["piper"])
-    assert set(found["temporal"]["kind"]) == {"unknown"}
+    assert completed.code == ExitCode.CLEAN
+    manifest = yaml.safe_load((adapter / "policy.yml").read_text())
+    assert (manifest["temporal"]["chunk"], manifest["embodiments"]) == (4, ["piper"])
+    assert set(manifest["temporal"]["kind"]) == {"unknown"}
     (adapter / "policy.yml").unlink()
     for setting, told in (
         ("famly=act", "did you mean family"),
@@ -225,8 +225,8 @@ def test_a_folder_without_an_adapter_is_not_adopted(tmp_path: Path) -> None:
 
 def test_the_printed_audit_is_that_of_the_adopted_adapter(adapter: Path) -> None:
     said = json.loads(xpl("adopt", str(adapter), "--json", folder=adapter.parent).stdout)["audit"]
-    done = xpl("audit", str(adapter), "--gate", "static", "--json", folder=adapter.parent)
-    results = json.loads(done.stdout)["targets"][0]["gates"][0]["results"]
+    completed = xpl("audit", str(adapter), "--gate", "static", "--json", folder=adapter.parent)
+    results = json.loads(completed.stdout)["targets"][0]["gates"][0]["results"]
     failed = [result["code"] for result in results if result["outcome"] in {"fail", "warn"}]
     assert [finding.split()[1] for finding in said["findings"]] == failed
     assert failed
@@ -262,8 +262,8 @@ def test_the_page_works_as_shown(adapter: Path) -> None:
     commands = [line.partition("#")[0].split()[1:] for line in example.splitlines()]
     assert len(commands) == 4
     for command in commands:
-        done = xpl(*command, folder=adapter.parent)
-        assert done.code == ExitCode.CLEAN, (command, done.stderr)
+        completed = xpl(*command, folder=adapter.parent)
+        assert completed.code == ExitCode.CLEAN, (command, completed.stderr)
     (shown,) = re.findall(r"```yaml\n(.*?)```", PAGE, flags=re.DOTALL)
     assert yaml.safe_load(shown).items() <= read_again(adapter).items()
 

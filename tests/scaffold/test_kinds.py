@@ -150,8 +150,8 @@ def test_a_fresh_scaffold_holds_the_pose(variant: str, robot: str, action_type: 
     config, manifest = (yaml.safe_load((folder / name).read_text()) for name in ("deploy.yml", "policy.yml"))
     model = content.load_module(folder / "model.py").Model({**config, "manifest": manifest})
     assert (model.interface is None) == (not chosen.get("block", True))
-    seen = [observation(robot, seed) for seed in range(2)]
-    for obs in seen:
+    observations = [observation(robot, seed) for seed in range(2)]
+    for obs in observations:
         model.update_obs(obs)
         chunk = model.get_action()
         check_chunk(chunk, get_embodiment(robot), action_type)
@@ -160,10 +160,10 @@ def test_a_fresh_scaffold_holds_the_pose(variant: str, robot: str, action_type: 
             np.testing.assert_allclose(value, obs["state"][key], atol=1e-6)
     if chosen.get("reference"):
         answer = content.load_module(folder / "reference.py").answers({})
-        told = answer(SimpleNamespace(observations=seen, asked=[0, 1]))
-        assert len(told) == 3
+        actions = answer(SimpleNamespace(observations=observations, asked=[0, 1]))
+        assert len(actions) == 3
         for key, value in chunk[-1].items():
-            np.testing.assert_allclose(told[-1][key], value, atol=1e-6)
+            np.testing.assert_allclose(actions[-1][key], value, atol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["minimal", "torch"])
@@ -193,8 +193,8 @@ def test_a_kind_brings_its_environment(kind: str, python: str, environment: dict
 def test_the_next_command_installs_where_there_is_something_to_install(tmp_path: Path) -> None:
     following = {}
     for kind in ("torch", "remote"):
-        done = _xpl(kind.title(), "--kind", kind, "--json", cwd=tmp_path)
-        following[kind] = [command.split()[1] for command in json.loads(done.stdout)["next"]]
+        completed = _xpl(kind.title(), "--kind", kind, "--json", cwd=tmp_path)
+        following[kind] = [command.split()[1] for command in json.loads(completed.stdout)["next"]]
     assert following == {"torch": ["install", "audit"], "remote": ["audit"]}
 
 
@@ -206,10 +206,10 @@ def test_a_lock_from_before_there_were_kinds_has_their_defaults(tmp_path: Path) 
     text = (folder / lock.PATH).read_text()
     start = text.index("  kind: minimal")
     (folder / lock.PATH).write_text(text[:start] + text[text.index("generated:") :])
-    kept = lock.read(folder)
-    assert kept is not None
-    assert "kind" not in kept.answers
-    assert scaffold.recorded_answers(kept) == _answers()
+    package_lock = lock.read(folder)
+    assert package_lock is not None
+    assert "kind" not in package_lock.answers
+    assert scaffold.recorded_answers(package_lock) == _answers()
     assert {change.name for change in update.plan(folder).changes} == {lock.PATH}
 
 
@@ -240,10 +240,10 @@ def test_what_does_not_fit_is_refused(chosen: dict[str, Any], message: str, hint
 
 def test_all_options_that_do_not_fit_are_told_at_once(tmp_path: Path) -> None:
     wrong = ["--chunk", "0", "--history", "0", "--action-type", "joints", "--cameras", "cam_haed", "--python", "three"]
-    done = _xpl("class", *wrong, "--kind", "tourch", cwd=tmp_path)
-    assert (done.code, done.stdout, list(tmp_path.iterdir())) == (2, "", [])
-    for told in ("class", "--chunk", "--history", "joint", "cam_head", "--python", "torch"):
-        assert told in done.stderr
+    completed = _xpl("class", *wrong, "--kind", "tourch", cwd=tmp_path)
+    assert (completed.code, completed.stdout, list(tmp_path.iterdir())) == (2, "", [])
+    for message in ("class", "--chunk", "--history", "joint", "cam_head", "--python", "torch"):
+        assert message in completed.stderr
 
 
 # -- what the base class does for them ---------------------------------------------------------------------------------
@@ -360,15 +360,15 @@ def test_a_remote_policy_runs_in_an_environment_of_its_own(tmp_path: Path) -> No
     behind = _written(tmp_path / "Behind")
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     adapter = _written(tmp_path / "Far", kind="remote", python=version)
-    done = subprocess.run(
+    completed = subprocess.run(
         [sys.executable, "-m", "xpl_cli", "install", str(adapter)],
         capture_output=True,
         text=True,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
-    if done.returncode:
-        pytest.skip(f"packages cannot be installed here: {done.stderr.strip().splitlines()[-1]}")
+    if completed.returncode:
+        pytest.skip(f"packages cannot be installed here: {completed.stderr.strip().splitlines()[-1]}")
     with running_server(behind, options=PLACES) as server:
         _point(adapter, server.url)
         assert _bad(adapter, Gate.OFFLINE, names=("action-structure", "batch-order", "reset-twice")) == []

@@ -46,11 +46,11 @@ def test_who_is_who_decides_nothing_but_the_labels(base: bytes, ours: bytes, the
 def _edited(draw: st.DrawFn, base: list[bytes], tag: bytes, free: list[int]) -> tuple[list[bytes], list[bytes]]:
     """Return what each line of `base` became, and the lines that are new; only those at `free` places change."""
     result, new = list(base), []
-    for place in draw(st.lists(st.sampled_from(free), max_size=4, unique=True)) if free else []:
-        line = b"%s %d %d\n" % (tag, place, draw(st.integers(0, 9)))
-        become = draw(st.sampled_from([line, b"", line + base[place], base[place] + line]))
+    for position in draw(st.lists(st.sampled_from(free), max_size=4, unique=True)) if free else []:
+        line = b"%s %d %d\n" % (tag, position, draw(st.integers(0, 9)))
+        become = draw(st.sampled_from([line, b"", line + base[position], base[position] + line]))
         new += [line] if become else []
-        result[place] = become
+        result[position] = become
     return result, new
 
 
@@ -90,10 +90,10 @@ def test_git_merges_clean_texts_alike(data: st.DataObject, tmp_path_factory: pyt
     for name, text in zip(("base", "ours", "theirs"), texts, strict=True):
         (folder / name).write_bytes(text)
     command = [str(GIT), "merge-file", "-p", *(str(folder / name) for name in ("ours", "base", "theirs"))]
-    done = subprocess.run(command, capture_output=True, check=False)
-    if not merged.conflicts and not done.returncode:
-        assert merged.content == done.stdout
-    assert bool(merged.conflicts) >= bool(done.returncode), "git saw a conflict that was passed over"
+    completed = subprocess.run(command, capture_output=True, check=False)
+    if not merged.conflicts and not completed.returncode:
+        assert merged.content == completed.stdout
+    assert bool(merged.conflicts) >= bool(completed.returncode), "git saw a conflict that was passed over"
 
 
 def test_a_conflict_shows_all_three() -> None:

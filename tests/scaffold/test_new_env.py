@@ -100,9 +100,11 @@ def test_our_own_environments_pass_their_audit(name: str) -> None:
 
 
 def test_a_machine_without_the_libraries_says_so(tmp_path: Path) -> None:
-    done = xpl("audit", str(ROOT / "envs" / "gymnasium"), "--policy-env", "none", "--json", "--no-cache", cwd=tmp_path)
-    assert done.returncode == ExitCode.NOT_RUN
-    report = json.loads(done.stdout)
+    completed = xpl(
+        "audit", str(ROOT / "envs" / "gymnasium"), "--policy-env", "none", "--json", "--no-cache", cwd=tmp_path
+    )
+    assert completed.returncode == ExitCode.NOT_RUN
+    report = json.loads(completed.stdout)
     assert report["next"][0].startswith("xpl install")
     results = report["targets"][0]["gates"][1]["results"]
     assert {result["outcome"] for result in results} <= {"not_run", "not_applicable"}
@@ -165,8 +167,8 @@ def test_an_environment_that_hangs_or_dies_is_a_finding(
 def test_the_tests_that_come_with_it_pass(package: Path) -> None:
     command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--rootdir", str(package), str(package)]
     variables = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=variables)
-    assert done.returncode == 0, done.stdout
+    completed = subprocess.run(command, capture_output=True, text=True, check=False, cwd=package, env=variables)
+    assert completed.returncode == 0, completed.stdout
 
 
 @pytest.mark.parametrize(
@@ -189,8 +191,8 @@ def test_answers_that_are_not_allowed_are_refused(changes: dict[str, str], said:
 def test_the_command_writes_once_and_never_over_the_authors_work(tmp_path: Path) -> None:
     assert "would be written" in xpl("new-env", "Bar", "--dry-run", cwd=tmp_path).stdout
     assert list(tmp_path.iterdir()) == []
-    done = xpl("new-env", "Bar", "--embodiment", "franka_single", "--json", cwd=tmp_path)
-    report = json.loads(done.stdout)
+    completed = xpl("new-env", "Bar", "--embodiment", "franka_single", "--json", cwd=tmp_path)
+    report = json.loads(completed.stdout)
     assert (report["schema"], report["state"], report["path"]) == ("xpl.new-env/1", "written", "envs/Bar")
     assert report["next"] == ["xpl audit envs/Bar", "pytest envs/Bar"]
     before = _tree(tmp_path / "envs" / "Bar")

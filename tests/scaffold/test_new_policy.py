@@ -120,18 +120,18 @@ def test_rendered_python_keeps_to_the_rules_of_this_repository(adapter: Path, tm
     # ARG002 is off for the policy/ of this repository too: signatures of the contract are fixed.
     lint = [*config, "--config", 'lint.isort.known-first-party=["xpl"]', "--ignore", "N999,ARG002,INP001,S101"]
     for command in (["check", *lint], ["format", "--check", *config]):
-        done = subprocess.run(
+        completed = subprocess.run(
             [ruff, *command, str(adapter), str(tmp_path / "Bar")], capture_output=True, text=True, check=False
         )
-        assert done.returncode == 0, done.stdout
+        assert completed.returncode == 0, completed.stdout
 
 
 def test_scripts_are_clean_for_shellcheck(adapter: Path) -> None:
     shellcheck = shutil.which("shellcheck")
     if shellcheck is None:
         pytest.skip("shellcheck is not installed")
-    done = subprocess.run([shellcheck, *adapter.glob("*.sh")], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout
+    completed = subprocess.run([shellcheck, *adapter.glob("*.sh")], capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stdout
 
 
 def test_the_same_answers_give_the_same_bytes(adapter: Path) -> None:
@@ -163,15 +163,15 @@ def test_the_policys_own_python_is_declared(python: str, environment: dict[str, 
 
 def test_placeholders_are_counted_with_their_place(adapter: Path) -> None:
     marker = spec.data("package")["placeholder"]
-    places = scaffold.placeholders(_tree(adapter))
+    placeholders = scaffold.placeholders(_tree(adapter))
     assert (
-        len(places)
+        len(placeholders)
         == sum(content.decode().count(marker) for name, content in _tree(adapter).items() if name not in KEPT)
         > 5
     )
-    for place in places:
-        line = (adapter / place.file).read_text().splitlines()[place.line - 1]
-        assert f"{marker}: {place.text}" in line
+    for placeholder in placeholders:
+        line = (adapter / placeholder.file).read_text().splitlines()[placeholder.line - 1]
+        assert f"{marker}: {placeholder.text}" in line
 
 
 OURS = sorted(path.parent.name for path in tracked("policy/*/policy.yml"))
@@ -181,13 +181,13 @@ OURS = sorted(path.parent.name for path in tracked("policy/*/policy.yml"))
 def test_scripts_of_our_own_policies_are_those_of_the_template(name: str) -> None:
     """Scripts and loop are rendered, never edited by hand; where a lock tells the template, all of it is of today."""
     folder = ROOT / "policy" / name
-    kept = lock.read(folder)
-    if kept is None:
+    package_lock = lock.read(folder)
+    if package_lock is None:
         rendered = scaffold.render(scaffold.answers_of(**{**scaffold.defaults(), "name": name, "eval_only": True}))
         same = [file for file in rendered if file.endswith(".sh")] + ["deploy.py"]
     else:
-        rendered = scaffold.render(scaffold.recorded_answers(kept))
-        same = [file for file in rendered if file in {*kept.generated, "deploy.py", ".gitignore", lock.PATH}]
+        rendered = scaffold.render(scaffold.recorded_answers(package_lock))
+        same = [file for file in rendered if file in {*package_lock.generated, "deploy.py", ".gitignore", lock.PATH}]
     assert [file for file in same if (folder / file).read_bytes() != rendered[file]] == []
     assert {path.name for path in tracked(f"policy/{name}/*.sh")} == {file for file in same if file.endswith(".sh")}
 
@@ -244,9 +244,9 @@ def test_arguments_reach_xpl_as_they_were_given(script: str, adapter: Path, tmp_
 
 @pytest.mark.parametrize("script", list(spec.data("package")["scripts"]))
 def test_too_few_arguments_are_answered_by_the_list_of_them(script: str, adapter: Path) -> None:
-    done = subprocess.run([adapter / script, "one"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert f"{script} {' '.join(spec.data('package')['scripts'][script])}" in done.stderr
+    completed = subprocess.run([adapter / script, "one"], capture_output=True, text=True, check=False)
+    assert (completed.returncode, completed.stdout) == (2, "")
+    assert f"{script} {' '.join(spec.data('package')['scripts'][script])}" in completed.stderr
 
 
 def test_optional_arguments_may_be_left_out(adapter: Path, tmp_path: Path) -> None:
@@ -364,9 +364,9 @@ def test_every_suggestion_is_accepted(name: str) -> None:
 )
 def test_an_option_that_is_not_allowed_is_a_usage_error(arguments: list[str], message: str, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    done = _xpl("Foo", *arguments, cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert message in done.stderr
+    completed = _xpl("Foo", *arguments, cwd=tmp_path)
+    assert (completed.returncode, completed.stdout) == (2, "")
+    assert message in completed.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
@@ -374,8 +374,8 @@ def test_an_option_that_is_not_allowed_is_a_usage_error(arguments: list[str], me
 
 
 def test_json_tells_files_places_and_next_commands(tmp_path: Path) -> None:
-    done = _xpl("Foo", "--json", "--dir", "my policies", "--python", "3.10", cwd=tmp_path)
-    answer = json.loads(done.stdout)
+    completed = _xpl("Foo", "--json", "--dir", "my policies", "--python", "3.10", cwd=tmp_path)
+    answer = json.loads(completed.stdout)
     assert answer["schema"] == "xpl.new-policy/1"
     assert answer["path"] == "my policies/Foo"
     assert set(answer["files"]) == set(_tree(tmp_path / answer["path"]))
@@ -398,10 +398,10 @@ def test_a_second_run_changes_nothing(tmp_path: Path) -> None:
 
 
 def test_a_dry_run_writes_nothing(tmp_path: Path) -> None:
-    done = _xpl("Foo", "--dry-run", cwd=tmp_path)
-    assert (done.returncode, list(tmp_path.iterdir())) == (0, [])
-    assert "17 files would be written" in done.stdout
-    assert "+ policy/Foo/model.py" in done.stderr
+    completed = _xpl("Foo", "--dry-run", cwd=tmp_path)
+    assert (completed.returncode, list(tmp_path.iterdir())) == (0, [])
+    assert "17 files would be written" in completed.stdout
+    assert "+ policy/Foo/model.py" in completed.stderr
 
 
 def test_overwriting_keeps_what_the_author_added(tmp_path: Path) -> None:
@@ -481,14 +481,14 @@ def test_an_interrupted_command_leaves_nothing_behind(kind: signal.Signals, trap
     work = tmp_path / "work"
     scratch.mkdir()
     work.mkdir()
-    done = subprocess.run(
+    completed = subprocess.run(
         ["/bin/sh", "-c", f'{trap}exec "$@"', "sh", sys.executable, "-c", stops],
         check=False,
         capture_output=True,
         cwd=work,
         env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(scratch)},
     )
-    assert done.returncode == 130, done.stderr
+    assert completed.returncode == 130, completed.stderr
     assert list(work.iterdir()) == list(scratch.iterdir()) == []
 
 
@@ -497,8 +497,8 @@ def test_rendering_needs_no_git_and_reads_no_settings_of_the_user(tmp_path: Path
     settings = home / "copier" / "settings.yml"
     settings.parent.mkdir(parents=True)
     settings.write_text("defaults: {chunk: 99, name: Bar}\ntrust: ['/']\n")
-    done = _xpl("Foo", cwd=tmp_path, PATH="", XDG_CONFIG_HOME=str(home), HOME=str(home))
-    assert done.returncode == 0, done.stderr
+    completed = _xpl("Foo", cwd=tmp_path, PATH="", XDG_CONFIG_HOME=str(home), HOME=str(home))
+    assert completed.returncode == 0, completed.stderr
     assert _tree(tmp_path / "policy" / "Foo") == scaffold.render(_answers())
     assert {path.name for path in home.rglob("*")} == {"copier", "settings.yml"}
 

@@ -54,15 +54,15 @@ def test_a_model_of_one_page_has_one_of_thirty_lines() -> None:
 
 
 def test_the_command_writes_it_once_and_it_can_be_recorded(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", code=None)
+    folder = parity.write_adapter(tmp_path / "Foo", code=None)
     missing = xpl("model-io", "record", str(folder), cwd=tmp_path)
     assert missing.returncode == ExitCode.NOT_FOUND
     assert f"xpl model-io reference {folder}" in missing.stderr
-    done = xpl("model-io", "reference", "Foo", "--json", cwd=tmp_path)
-    assert done.returncode == ExitCode.CLEAN, done.stderr
-    told = json.loads(done.stdout)
-    assert answers.problems(told) == []
-    assert told["next"] == ["xpl model-io record Foo"]
+    completed = xpl("model-io", "reference", "Foo", "--json", cwd=tmp_path)
+    assert completed.returncode == ExitCode.CLEAN, completed.stderr
+    answer = json.loads(completed.stdout)
+    assert answers.problems(answer) == []
+    assert answer["next"] == ["xpl model-io record Foo"]
     assert (folder / "reference.py").read_text() == reference.text(_manifest())
     assert xpl("model-io", "record", "Foo", cwd=tmp_path).returncode == ExitCode.CLEAN
     again = xpl("model-io", "reference", "Foo", cwd=tmp_path)
@@ -71,8 +71,8 @@ def test_the_command_writes_it_once_and_it_can_be_recorded(tmp_path: Path) -> No
 
 
 def test_a_manifest_of_an_unknown_robot_is_refused(tmp_path: Path) -> None:
-    folder = parity.made(tmp_path / "Foo", code=None, embodiments=["nobody"])
-    done = xpl("model-io", "reference", "Foo", cwd=tmp_path)
-    assert done.returncode == ExitCode.USAGE
-    assert "policy.yml: " in done.stderr
+    folder = parity.write_adapter(tmp_path / "Foo", code=None, embodiments=["nobody"])
+    completed = xpl("model-io", "reference", "Foo", cwd=tmp_path)
+    assert completed.returncode == ExitCode.USAGE
+    assert "policy.yml: " in completed.stderr
     assert not (folder / "reference.py").exists()

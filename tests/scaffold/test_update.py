@@ -154,10 +154,10 @@ def test_files_that_the_author_took_over_are_left_alone(adapter: Path, templates
     _change(templates)
     _apply(adapter)
     assert (adapter / "install.sh").read_text() == "mine\n"
-    kept = lock.read(adapter)
-    assert kept is not None
-    assert kept.free == ("install.sh", "own.sh")
-    assert "install.sh" not in kept.generated
+    package_lock = lock.read(adapter)
+    assert package_lock is not None
+    assert package_lock.free == ("install.sh", "own.sh")
+    assert "install.sh" not in package_lock.generated
     assert lock.read_rendered(adapter)["install.sh"] == base
 
 
@@ -260,12 +260,12 @@ def test_the_command_tells_what_it_does(adapter: Path) -> None:
     before = _tree(adapter)
     dry = _xpl("Foo", "--dry-run", "--json", cwd=adapter.parent)
     assert (dry.code, _tree(adapter)) == (0, before)
-    done = _xpl("Foo", "--json", cwd=adapter.parent)
-    told, foretold = json.loads(done.stdout), json.loads(dry.stdout)
-    assert done.code == 0
-    assert (told["state"], foretold["state"]) == ("updated", "would be updated")
-    assert told["files"] == foretold["files"]
-    assert {"name": ".gitignore", "action": "updated", "conflicts": 0, "note": None} in told["files"]
+    completed = _xpl("Foo", "--json", cwd=adapter.parent)
+    answer, foretold = json.loads(completed.stdout), json.loads(dry.stdout)
+    assert completed.code == 0
+    assert (answer["state"], foretold["state"]) == ("updated", "would be updated")
+    assert answer["files"] == foretold["files"]
+    assert {"name": ".gitignore", "action": "updated", "conflicts": 0, "note": None} in answer["files"]
     assert _tree(adapter) == _render()
     again = _xpl("Foo", cwd=adapter.parent)
     assert (again.code, again.stdout) == (0, "Foo: is as its template has it, nothing to do\n")
@@ -277,9 +277,9 @@ def test_a_conflict_is_exit_code_1(adapter: Path) -> None:
         stream.write("/mine/\n")
     _edit(adapter / ".gitignore", "/data\n", "/data here\n")
     for options in (["--dry-run"], []):
-        done = _xpl("Foo", *options, cwd=adapter.parent)
-        assert done.code == 1, done.stderr
-        assert "conflict  .gitignore (1 to decide)" in done.stdout
+        completed = _xpl("Foo", *options, cwd=adapter.parent)
+        assert completed.code == 1, completed.stderr
+        assert "conflict  .gitignore (1 to decide)" in completed.stdout
 
 
 @pytest.mark.skipif(GIT is None, reason="git is not installed")
@@ -305,8 +305,8 @@ def test_changes_that_git_has_not_recorded_are_protected(adapter: Path) -> None:
 
 @pytest.mark.parametrize(("arguments", "code"), [(["Nothing"], 3), (["demo_policy"], 2)])
 def test_exit_codes(arguments: list[str], code: int, adapter: Path) -> None:
-    done = _xpl(*arguments, cwd=adapter.parent)
-    assert (done.code, done.stdout) == (code, "")
+    completed = _xpl(*arguments, cwd=adapter.parent)
+    assert (completed.code, completed.stdout) == (code, "")
 
 
 # -- what the audit says -----------------------------------------------------------------------------------------------
@@ -334,8 +334,8 @@ def test_an_environment_is_brought_along(tmp_path: Path, templates: Path) -> Non
     scaffold.write(environment.render_env(answers), folder)
     _edit(folder / "env.yml", "max_steps: 100", "max_steps: 120 # mine")
     _edit(templates / "env" / "files" / "env.yml.jinja", "control_frequency: 25", "control_frequency: 20")
-    done = _apply(folder)
-    assert {step.name: step.action for step in done.steps} == {"env.yml": "merged", lock.RENDERED: "updated"}
+    completed = _apply(folder)
+    assert {step.name: step.action for step in completed.steps} == {"env.yml": "merged", lock.RENDERED: "updated"}
     text = (folder / "env.yml").read_text()
     assert "max_steps: 120 # mine" in text
     assert "control_frequency: 20" in text

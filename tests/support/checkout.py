@@ -26,15 +26,15 @@ def tracked(*patterns: str, root: Path = ROOT) -> list[Path]:
     # The owner of a mounted checkout may be another user, whom git would not trust.
     command = ["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--"]
     command += [f":(glob){pattern}" for pattern in patterns]
-    done = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
-    paths = {root / name for name in done.stdout.split("\0") if name}
+    completed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    paths = {root / name for name in completed.stdout.split("\0") if name}
     return sorted(path for path in paths if path.is_file())  # one that was deleted, and not from the index yet
 
 
 def copy(target: Path, *patterns: str, root: Path = ROOT) -> Path:
     """Copy the files that belong to a checkout and fit one of the patterns to the same places in a folder."""
     for path in tracked(*patterns, root=root):
-        place = target / path.relative_to(root)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy2(path, place)
+        destination = target / path.relative_to(root)
+        destination.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(path, destination)
     return target

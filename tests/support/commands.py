@@ -32,13 +32,13 @@ def xpl(*arguments: str | Path, folder: Path | None = None, limit_s: float = 60.
         limit_s: after so many seconds it is taken to hang, which fails the test.
     """
     console._output.is_used = False
-    kept = io.BytesIO(), io.BytesIO()
-    out, err = (io.TextIOWrapper(buffer, encoding="utf-8", errors="strict") for buffer in kept)
+    environment = io.BytesIO(), io.BytesIO()
+    out, err = (io.TextIOWrapper(buffer, encoding="utf-8", errors="strict") for buffer in environment)
     with _in(folder), _limited(limit_s, arguments), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main([str(argument) for argument in arguments])
     for stream in (out, err):
         stream.flush()
-    return Ended(int(code), *(buffer.getvalue().decode() for buffer in kept))
+    return Ended(int(code), *(buffer.getvalue().decode() for buffer in environment))
 
 
 def problem(ended: Ended, allowed: Sequence[int] = (0, 1, 2, 3, 4)) -> str | None:

@@ -137,23 +137,23 @@ class Server:
 
 def descriptors(pid: int) -> list[str]:
     """Return what the open file descriptors of a process are, without the numbers of sockets and pipes."""
-    found = []
+    paths = []
     for entry in Path(f"/proc/{pid}/fd").iterdir():
         with contextlib.suppress(OSError):  # the descriptor that lists the folder is gone again
-            found.append(re.sub(r"\[\d+\]", "", str(entry.readlink())))
-    return found
+            paths.append(re.sub(r"\[\d+\]", "", str(entry.readlink())))
+    return paths
 
 
 def sockets(port: int, *states: str) -> list[str]:
     """Return the TCP sockets of this port, on either side, that are in one of these states."""
-    wanted = f"{port:04X}"
-    found = []
+    inodes = f"{port:04X}"
+    addresses = []
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in Path(table).read_text(encoding="ascii").splitlines()[1:]:
             _, local, remote, state, *_ = line.split()
-            if state in states and wanted in (local[-4:], remote[-4:]):
-                found.append(f"{local} {remote} {state}")
-    return found
+            if state in states and inodes in (local[-4:], remote[-4:]):
+                addresses.append(f"{local} {remote} {state}")
+    return addresses
 
 
 def orphans(since: float) -> list[str]:

@@ -42,7 +42,7 @@ def remember() -> None:
 
 
 def _compiled_once(compile_text: Any) -> Any:
-    kept: dict[Any, Any] = {}
+    cache: dict[Any, Any] = {}
 
     @functools.wraps(compile_text)
     def compiled(
@@ -53,17 +53,17 @@ def _compiled_once(compile_text: Any) -> Any:
         # The file's name is left out: copier's templates lie in a new folder each time, and it is for tracebacks only.
         settings = tuple(getattr(self, setting) for setting in _SETTINGS)
         key = (source, name, *options.items(), type(self), settings, self.autoescape, *sorted(self.extensions))
-        if key not in kept:
-            kept[key] = compile_text(self, source, name, filename, **options)
-        return kept[key]
+        if key not in cache:
+            cache[key] = compile_text(self, source, name, filename, **options)
+        return cache[key]
 
     return compiled
 
 
 def _rendered_once(render: Any) -> Any:
-    kept: dict[Any, template.Files] = {}
+    cache: dict[Any, template.Files] = {}
     usual = (template.content_folder, template.template_folder)
-    places = (template.content_folder("templates"), template.content_folder("spec"))
+    folders = (template.content_folder("templates"), template.content_folder("spec"))
 
     @functools.wraps(render)
     def rendered(
@@ -73,11 +73,11 @@ def _rendered_once(render: Any) -> Any:
         variant: str | None = None,
     ) -> template.Files:
         now = (template.content_folder, template.template_folder)
-        if now != usual or (template.content_folder("templates"), template.content_folder("spec")) != places:
+        if now != usual or (template.content_folder("templates"), template.content_folder("spec")) != folders:
             return render(name, context, leave_out, variant)  # type: ignore[no-any-return]  # by other templates
         key = (name, repr(sorted(context.items())), tuple(leave_out), variant)
-        if key not in kept:
-            kept[key] = render(name, context, leave_out, variant)
-        return dict(kept[key])
+        if key not in cache:
+            cache[key] = render(name, context, leave_out, variant)
+        return dict(cache[key])
 
     return rendered

@@ -69,16 +69,16 @@ def blocks(paths: list[Path] | None = None) -> Iterator[Block]:
     """Yield every fenced block of some pages; of all that people write by default."""
     for path in written() if paths is None else paths:
         text = path.read_text(encoding="utf-8")
-        for found in _FENCE.finditer(text):
-            line = text.count("\n", 0, found.start("language")) + 1
-            inner = re.sub(rf"^{found['indent']}", "", found["text"], flags=re.MULTILINE)
-            title = _TITLE.search(found["info"])
+        for matches in _FENCE.finditer(text):
+            line = text.count("\n", 0, matches.start("language")) + 1
+            inner = re.sub(rf"^{matches['indent']}", "", matches["text"], flags=re.MULTILINE)
+            title = _TITLE.search(matches["info"])
             yield Block(
                 str(path.relative_to(ROOT)),
                 line,
-                found["language"],
+                matches["language"],
                 inner,
-                found["mark"] or "",
+                matches["mark"] or "",
                 title[1] if title else "",
             )
 
@@ -132,13 +132,13 @@ def shell(text: str) -> list[list[str]]:
     return [command for command in found if command]
 
 
-def parse(words: list[str]) -> Any:
+def parse(arguments: list[str]) -> Any:
     """Parse the words behind `xpl` as the command line does, and return the parsed command's context.
 
     Raises:
         Exception: one of the command line's library, if a command, an option or an argument is wrong or missing.
     """
-    command, context, rest = _descend(words)
+    command, context, rest = _descend(arguments)
     if hasattr(command, "commands") and rest:
         raise typer.BadParameter(f"no command {rest[0]!r}")
     return command.make_context(context.info_name, [word for word in rest if word != "--help"], parent=context.parent)
@@ -149,8 +149,10 @@ def unknown(words: list[str]) -> list[str]:
     command, context, rest = _descend(words)
     if hasattr(command, "commands") and rest and not rest[0].startswith("-"):
         return rest[:1]
-    known = {name for parameter in command.get_params(context) for name in (*parameter.opts, *parameter.secondary_opts)}
-    return [word for word in rest if re.match(r"--?[a-z]", word) and word.partition("=")[0] not in known]
+    options = {
+        name for parameter in command.get_params(context) for name in (*parameter.opts, *parameter.secondary_opts)
+    }
+    return [word for word in rest if re.match(r"--?[a-z]", word) and word.partition("=")[0] not in options]
 
 
 @cache

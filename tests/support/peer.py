@@ -33,13 +33,13 @@ def wait_until(condition: Callable[[], Any], what: str) -> Any:
 
 def processes(mark: str) -> dict[int, str]:
     """Return the living processes that inherited a mark, with their command lines."""
-    wanted = f"{MARK}={mark}".encode()
-    found = {}
+    pattern = f"{MARK}={mark}".encode()
+    pids = {}
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
-            if wanted in (entry / "environ").read_bytes().split(b"\0"):
-                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
-    return found
+            if pattern in (entry / "environ").read_bytes().split(b"\0"):
+                pids[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+    return pids
 
 
 def xpl(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:

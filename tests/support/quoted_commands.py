@@ -45,10 +45,10 @@ def quoted_commands(path: Path) -> list[QuotedCommand]:
         for words in pages.shell(block.text)
         if words[0] == "xpl" or words[:2] == ["./dev", "xpl"]
     ]
-    spoken = [found[1].split() for span in pages.spans(path) if (found := _CALL.fullmatch(span))]
-    told = [QuotedCommand(tuple(words), exact=words[0] not in _OPEN) for words in entered]
-    told += [QuotedCommand(tuple(words), exact=False) for words in spoken]
-    return list(dict.fromkeys(told))
+    mentioned = [found[1].split() for span in pages.spans(path) if (found := _CALL.fullmatch(span))]
+    quoted = [QuotedCommand(tuple(words), exact=words[0] not in _OPEN) for words in entered]
+    quoted += [QuotedCommand(tuple(words), exact=False) for words in mentioned]
+    return list(dict.fromkeys(quoted))
 
 
 def command_error(command: QuotedCommand) -> str | None:
@@ -63,11 +63,11 @@ def command_error(command: QuotedCommand) -> str | None:
 
 def _fault_of_exact(command: QuotedCommand) -> str | None:
     """Parse all of it; a number that stands in capitals is any number."""
-    found, context, rest = pages._descend(list(command.words))
-    if hasattr(found, "commands") and rest and not rest[0].startswith("-"):
+    command_object, context, rest = pages._descend(list(command.words))
+    if hasattr(command_object, "commands") and rest and not rest[0].startswith("-"):
         return f"{command}: there is no {rest[0]}"
-    words = _with_numbers(found, context, rest)
-    found.make_context(context.info_name, words, parent=context.parent)
+    words = _with_numbers(command_object, context, rest)
+    command_object.make_context(context.info_name, words, parent=context.parent)
     return None
 
 
@@ -84,7 +84,9 @@ def _with_numbers(command: Any, context: Any, words: list[str]) -> list[str]:
 def _fault_of_spoken(command: QuotedCommand) -> str | None:
     """Look up the command and its options; several may be told at once (`list|check`), and arguments may be missing."""
     words = [word.strip("[],") for word in itertools.takewhile(lambda word: word not in _OPEN, command.words)]
-    for said in itertools.product(*(word.split("|") if re.fullmatch(r"[a-z|-]+", word) else [word] for word in words)):
-        if unknown := pages.unknown(list(said)):
+    for variant in itertools.product(
+        *(word.split("|") if re.fullmatch(r"[a-z|-]+", word) else [word] for word in words)
+    ):
+        if unknown := pages.unknown(list(variant)):
             return f"{command}: there is no {unknown[0]}"
     return None

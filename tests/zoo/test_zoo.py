@@ -52,9 +52,9 @@ def _answer(*arguments: str | Path) -> dict[str, Any]:
 
 def test_every_policy_of_the_paper_is_there() -> None:
     """The table of the paper has 42; each fact has a value with its source, or a reason, and never both."""
-    found = policies.policies()
-    assert sum(policy.in_paper for policy in found) == 42
-    for policy in found:
+    names = policies.policies()
+    assert sum(policy.in_paper for policy in names) == 42
+    for policy in names:
         assert tuple(policy.facts) == policies.fact_names()
         for key, fact in policy.facts.items():
             assert (fact.value is None) == bool(fact.unknown) != bool(fact.source), (policy.name, key)
@@ -167,24 +167,24 @@ def test_an_adapter_is_proven_and_stays_as_it_is(copied: Path, tmp_path: Path) -
     from xpl_cli.audit.rules.options import AuditOptions
 
     options = AuditOptions(gates=(Gate.STATIC,))
-    found = prove.proof(adapter, options, {"embodiments": {"value": ["arx_x5"], "source": "policy.yml"}})
-    assert found["level"] == 1
-    assert prove.write(found) == copied / "proofs" / "demo_policy.json"
+    proof = prove.proof(adapter, options, {"embodiments": {"value": ["arx_x5"], "source": "policy.yml"}})
+    assert proof["level"] == 1
+    assert prove.write(proof) == copied / "proofs" / "demo_policy.json"
     assert list(check.check()) == []
     assert policies.find("demo_policy").level.number == 1
-    assert prove.proof(adapter, options, found["read"]) == found
+    assert prove.proof(adapter, options, proof["read"]) == proof
     model = adapter.path / "model.py"
     model.write_text(f"{model.read_text()}# more\n")
-    assert prove.proof(adapter, options, {})["adapter"]["files"] != found["adapter"]["files"]
+    assert prove.proof(adapter, options, {})["adapter"]["files"] != proof["adapter"]["files"]
     model.write_bytes(before[model])
     assert {path: path.read_bytes() for path in (tmp_path / "policy").rglob("*") if path.is_file()} == before
 
 
 def test_folders_of_a_machine_do_not_get_into_a_proof() -> None:
     """The checkout has a name, other paths are cut; addresses and places in files are none."""
-    told = {"reason": ["/home/me/lab/policy/A1/model.py:3 wants /opt/w/last.pt, see https://a.b/c/d and policy/A1/x"]}
+    texts = {"reason": ["/home/me/lab/policy/A1/model.py:3 wants /opt/w/last.pt, see https://a.b/c/d and policy/A1/x"]}
     cut = "CHECKOUT/policy/A1/model.py:3 wants .../last.pt, see https://a.b/c/d and policy/A1/x"
-    assert prove._portable(told, "/home/me/lab") == {"reason": [cut]}
+    assert prove._portable(texts, "/home/me/lab") == {"reason": [cut]}
 
 
 def test_what_a_proof_holds_names_no_folder_of_this_machine() -> None:
@@ -209,9 +209,9 @@ def test_the_list_is_filtered() -> None:
 
 
 def test_a_policy_is_shown_with_the_source_of_everything() -> None:
-    told = xpl("zoo", "show", "ACT").stdout
-    assert "https://github.com/tonyzhaozh/act  [policy/ACT/README.md:3" in told
-    assert "memory      unknown: not stated" in told
+    text = xpl("zoo", "show", "ACT").stdout
+    assert "https://github.com/tonyzhaozh/act  [policy/ACT/README.md:3" in text
+    assert "memory      unknown: not stated" in text
     assert _answer("zoo", "show", "RDT_1B")["policy"]["proof"] is None
     ended = xpl("zoo", "show", "ACTT")
     assert (ended.code, "did you mean ACT" in ended.stderr) == (3, True)
@@ -221,8 +221,8 @@ def test_proving_tells_what_lacks(tmp_path: Path) -> None:
     """A checkout without the adapter; nothing is written without need."""
     ended = xpl("zoo", "prove", "ACT", tmp_path)
     assert (ended.code, "has no adapter in policy/ACT" in ended.stderr) == (3, True)
-    told = _answer("zoo", "prove", "demo_policy", ROOT, "--gate", "static", "--dry-run")
-    assert (told["file"], told["proof"]["level"]) == (None, 1)
+    message = _answer("zoo", "prove", "demo_policy", ROOT, "--gate", "static", "--dry-run")
+    assert (message["file"], message["proof"]["level"]) == (None, 1)
 
 
 def test_a_proof_of_other_robots_is_no_guess(copied: Path) -> None:

@@ -30,20 +30,20 @@ def adopted(folder: Path, *sources: Path, merge: bool = False, **given: Any) -> 
 def test_the_model_io_block_and_what_is_unknown_come_from_the_checkpoint(adapter: Path, tmp_path: Path) -> None:
     """What the user says stays: an adapter may hand on fewer steps than the model answers."""
     checkpoint = trained.lerobot(tmp_path / "run", n_action_steps=100)
-    chosen, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"], **{"temporal.chunk": 16})
+    adoption, manifest = adopted(adapter, checkpoint, embodiments=["aloha_agilex"], **{"temporal.chunk": 16})
     assert manifest["spec"] == "v1"
     assert manifest["temporal"]["chunk"] == 16
     assert manifest["temporal"]["kind"] == "chunk"
     assert manifest["inputs"]["required"]
     assert manifest["model_io"]["state"][0]["input"] == "observation.state"
-    assert len(chosen.findings.unknown) >= 8
-    assert "model_io.state.0.parts.1.gripper.closed" in chosen.findings.unknown
+    assert len(adoption.findings.unknown) >= 8
+    assert "model_io.state.0.parts.1.gripper.closed" in adoption.findings.unknown
 
 
 def test_a_manifest_that_is_there_gets_the_block_and_keeps_the_rest(adapter: Path, tmp_path: Path) -> None:
     """--merge appends; the version of the standard is the author's to raise."""
     before = "spec: v1\nname: Grasp\nembodiments: [aloha_agilex]\n"
     (adapter / sdk.File.POLICY_YML).write_text(before, encoding="utf-8")
-    chosen, manifest = adopted(adapter, trained.lerobot(tmp_path / "run", n_action_steps=8), merge=True)
-    assert chosen.files[sdk.File.POLICY_YML].decode().startswith(before)
+    adoption, manifest = adopted(adapter, trained.lerobot(tmp_path / "run", n_action_steps=8), merge=True)
+    assert adoption.files[sdk.File.POLICY_YML].decode().startswith(before)
     assert manifest["model_io"]["action"]["normalize"]["key"] == "action"

@@ -30,11 +30,11 @@ def test_a_checkpoint_of_lerobot_is_served_and_equals_lerobot(tmp_path: Path, ki
     """new-policy, model_io record, audit: parity over histories, resets and several environments."""
     checkpoint = tmp_path / "shirts"
     subprocess.run([PYTHON, str(MAKER), kind, str(checkpoint)], check=True, capture_output=True)
-    made = xpl(
+    package = xpl(
         *("new-policy", "Shirts", "--from", str(checkpoint), "--embodiment", "aloha_agilex", "--gripper", "0,1"),
         cwd=tmp_path,
     )
-    assert made.returncode == ExitCode.CLEAN, made.stderr
+    assert package.returncode == ExitCode.CLEAN, package.stderr
     recorded = xpl("model-io", "record", "policy/Shirts", "--python", PYTHON, "--json", cwd=tmp_path)
     assert recorded.returncode == ExitCode.CLEAN, recorded.stderr
     rules = ("--select", "XPL260", "--select", "XPL261")

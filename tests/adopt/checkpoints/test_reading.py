@@ -26,11 +26,11 @@ _KEYS = (
 )
 
 
-def refused(folder: Path, told: str) -> None:
+def refused(folder: Path, message: str) -> None:
     """Hold that a folder is refused with these words, and its own path."""
     with pytest.raises(UserError) as failed:
         registry.read([folder])
-    assert told in str(failed.value)
+    assert message in str(failed.value)
     assert str(folder) in str(failed.value)
 
 
@@ -79,11 +79,11 @@ def test_a_statistics_file_that_is_named_outside_is_not_read(tmp_path: Path) -> 
 def test_links_of_the_hub_s_cache_are_followed(tmp_path: Path) -> None:
     """A snapshot there is links to blobs two folders above; only these are followed."""
     hub = tmp_path / "models--somebody--shirts"
-    made = trained.lerobot(tmp_path / "made", n_action_steps=8)
+    checkpoint = trained.lerobot(tmp_path / "made", n_action_steps=8)
     snapshot = hub / "snapshots" / ("0" * 40)
     snapshot.mkdir(parents=True)
     (hub / "blobs").mkdir()
-    for number, path in enumerate(sorted(made.iterdir())):
+    for number, path in enumerate(sorted(checkpoint.iterdir())):
         path.rename(hub / "blobs" / str(number))
         (snapshot / path.name).symlink_to(Path("..") / ".." / "blobs" / str(number))
     assert registry.read([snapshot])[0].framework == "lerobot"

@@ -44,8 +44,8 @@ def read(root: str, target: str) -> None:
     if not hasattr(torchvision.io, "VideoReader"):
         torchvision.io.VideoReader = VideoReader
         torchvision.set_video_backend = lambda _backend: None
-    found = LeRobotDataset(NAME, root=root, video_backend="pyav")
-    items = [found[index] for index in range(len(found))]
+    result = LeRobotDataset(NAME, root=root, video_backend="pyav")
+    items = [result[index] for index in range(len(result))]
     arrays = {key: np.stack([item[key].numpy() for item in items]) for key in items[0] if key != "task"}
     np.savez(target, tasks=np.array([item["task"] for item in items]), **arrays)
 
@@ -60,7 +60,7 @@ def write(root: str, target: str) -> None:
         "observation.images.top": {"dtype": "video", "shape": (64, 96, 3), "names": ["height", "width", "channels"]},
         "observation.images.wrist": {"dtype": "image", "shape": (48, 64, 3), "names": ["height", "width", "channels"]},
     }
-    made = LeRobotDataset.create(NAME, fps=20, features=features, root=root, robot_type="panda")
+    dataset = LeRobotDataset.create(NAME, fps=20, features=features, root=root, robot_type="panda")
     rows, columns = np.mgrid[0:64, 0:96]
     kept: dict[str, list[np.ndarray]] = {}
     for episode in range(3):
@@ -75,9 +75,9 @@ def write(root: str, target: str) -> None:
             }
             for key, value in frame.items():
                 kept.setdefault(f"{episode}/{key}", []).append(value)
-            made.add_frame({**frame, "task": ("pick", "place")[episode % 2]})
-        made.save_episode()
-    made.finalize()
+            dataset.add_frame({**frame, "task": ("pick", "place")[episode % 2]})
+        dataset.save_episode()
+    dataset.finalize()
     np.savez(target, **{key: np.stack(values) for key, values in kept.items()})
 
 
@@ -100,15 +100,15 @@ def port(source: str, root: str) -> None:
                 "names": ["height", "width", "channels"],
             }
         begins = time.perf_counter()
-        made = LeRobotDataset.create(NAME, fps=20, features=features, root=root, image_writer_threads=4)
+        dataset = LeRobotDataset.create(NAME, fps=20, features=features, root=root, image_writer_threads=4)
         for index in range(len(file["data"])):
             group = file[f"data/demo_{index}"]
             columns = {"observation.state": group["obs/joint_states"][:], "action": group["actions"][:]}
             columns |= {f"observation.images.{name}": group["obs"][name] for name in cameras}
             for step in range(len(columns["action"])):
-                made.add_frame({**{key: rows[step] for key, rows in columns.items()}, "task": "pick"})
-            made.save_episode()
-        made.finalize()
+                dataset.add_frame({**{key: rows[step] for key, rows in columns.items()}, "task": "pick"})
+            dataset.save_episode()
+        dataset.finalize()
         sys.stdout.write(f"{time.perf_counter() - begins}\n")
 
 

@@ -35,8 +35,8 @@ def lerobot(*arguments: str | Path) -> None:
     """Let LeRobot work, far from any hub."""
     environment = {**os.environ, "HF_HUB_OFFLINE": "1", "PYTHONPATH": ""}
     command = [PYTHON, str(DRIVER), *map(str, arguments)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr[-2000:]
 
 
 def test_lerobot_opens_what_was_converted(libero: Path, tmp_path: Path, converted: Converted) -> None:
@@ -54,8 +54,8 @@ def test_lerobot_opens_what_was_converted(libero: Path, tmp_path: Path, converte
         for name, column in (("action", "actions"), ("observation.joint_states", "obs/joint_states")):
             np.testing.assert_array_equal(items[name][place], episode.read(column).astype(np.float32))
         for name in ("agentview_rgb", "eye_in_hand_rgb"):
-            shown = np.rint(items[f"observation.images.{name}"][place] * 255).astype(np.uint8).transpose(0, 2, 3, 1)
-            for image, frame in zip(shown, episode.frames(f"obs/{name}"), strict=True):
+            frames = np.rint(items[f"observation.images.{name}"][place] * 255).astype(np.uint8).transpose(0, 2, 3, 1)
+            for image, frame in zip(frames, episode.frames(f"obs/{name}"), strict=True):
                 assert image_codec.psnr(image, frame) > LOSSY_DB
     assert begins == len(items["tasks"])
 
@@ -63,17 +63,17 @@ def test_lerobot_opens_what_was_converted(libero: Path, tmp_path: Path, converte
 def test_what_lerobot_wrote_is_read(tmp_path: Path, converted: Converted) -> None:
     """Numbers exactly, images of tables exactly, those of videos nearly; and again after a conversion."""
     lerobot("write", tmp_path / "set", tmp_path / "kept.npz")
-    kept = np.load(tmp_path / "kept.npz")
+    expected = np.load(tmp_path / "kept.npz")
     assert not converted(tmp_path / "set", tmp_path / "again", "lerobot-v3.0").lossy
-    for found in (open_set(tmp_path / "set"), open_set(tmp_path / "again")):
-        assert (found.robot, found.rate_hz, len(found)) == ("panda", 20.0, 3)
+    for dataset in (open_set(tmp_path / "set"), open_set(tmp_path / "again")):
+        assert (dataset.robot, dataset.rate_hz, len(dataset)) == ("panda", 20.0, 3)
         for index in range(3):
-            episode = found[index]
+            episode = dataset[index]
             assert episode.instructions == (("pick", "place")[index % 2],)
             for name in ("observation.state", "action", "force"):
-                np.testing.assert_array_equal(episode.read(name), kept[f"{index}/{name}"])
+                np.testing.assert_array_equal(episode.read(name), expected[f"{index}/{name}"])
             wrist = np.stack(list(episode.frames("observation.images.wrist")))
-            np.testing.assert_array_equal(wrist, kept[f"{index}/observation.images.wrist"])
-            top = kept[f"{index}/observation.images.top"]
+            np.testing.assert_array_equal(wrist, expected[f"{index}/observation.images.wrist"])
+            top = expected[f"{index}/observation.images.top"]
             for image, frame in zip(episode.frames("observation.images.top"), top, strict=True):
                 assert image_codec.psnr(image, frame) > LOSSY_DB

@@ -78,12 +78,12 @@ def test_a_set_of_the_field_becomes_one_of_lerobot(
 
 def test_statistics_are_those_of_the_numbers(libero: Path, in_lerobot: tuple[Path, ConversionReport]) -> None:
     """Mean, spread and range over all episodes, by which LeRobot's policies normalise."""
-    told = json.loads((in_lerobot[0] / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
+    statistics = json.loads((in_lerobot[0] / "meta" / "stats.json").read_text(encoding="utf-8"))["action"]
     rows = np.concatenate([open_set(libero)[index].read("actions") for index in range(3)])
-    np.testing.assert_allclose(told["mean"], rows.mean(0), atol=1e-12)
-    np.testing.assert_allclose(told["std"], rows.std(0), atol=1e-12)
-    np.testing.assert_allclose(told["max"], rows.max(0))
-    assert told["count"] == [len(rows)]
+    np.testing.assert_allclose(statistics["mean"], rows.mean(0), atol=1e-12)
+    np.testing.assert_allclose(statistics["std"], rows.std(0), atol=1e-12)
+    np.testing.assert_allclose(statistics["max"], rows.max(0))
+    assert statistics["count"] == [len(rows)]
 
 
 def test_a_mapping_leads_to_the_standard_and_back(libero: Path, tmp_path: Path, converted: Converted) -> None:
@@ -176,9 +176,9 @@ def test_a_run_that_ended_goes_on(
     datasets.same(open_set(tmp_path / "set")[2], open_set(in_lerobot[0])[2])
 
 
-def _ended_after_two(each: Any, things: Any) -> Any:
-    for thing in things[:2]:
-        yield each(thing)
+def _ended_after_two(each: Any, items: Any) -> Any:
+    for item in items[:2]:
+        yield each(item)
     raise KeyboardInterrupt
 
 
@@ -218,9 +218,9 @@ def test_what_a_simulator_told_is_one_vector_of_lerobot_and_what_it_was_after_it
     column = there.columns["observation.environment_state"]
     assert (column.shape, column.names) == ((8,), (*(f"cube.pose_{index}" for index in range(7)), "height"))
     assert there.columns["additional_info.steps.privileged.held"].dtype == "bool"
-    told = DatasetSummary.of(open_set(tmp_path / "there")).as_json()["privileged"]
-    assert told == {"recorded": ["cube/pose", "height", "held"], "left_out": {"task": "is no array of numbers"}}
+    extras = DatasetSummary.of(open_set(tmp_path / "there")).as_json()["privileged"]
+    assert extras == {"recorded": ["cube/pose", "height", "held"], "left_out": {"task": "is no array of numbers"}}
     converted(tmp_path / "there", tmp_path / "back", "xpl")
     datasets.same(open_set(tmp_path / "xpl")[0], open_set(tmp_path / "back")[0])
-    shown = trajectory.open_folder(tmp_path / "back")[0].observation(3)["privileged"]
-    assert (shown["cube"]["pose"].tolist(), shown["height"]) == ((np.arange(7.0) * 3).tolist(), 1.5)
+    columns = trajectory.open_folder(tmp_path / "back")[0].observation(3)["privileged"]
+    assert (columns["cube"]["pose"].tolist(), columns["height"]) == ((np.arange(7.0) * 3).tolist(), 1.5)

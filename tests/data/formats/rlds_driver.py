@@ -76,17 +76,17 @@ def write(folder: str, target: str) -> None:
     np.savez(target, **kept)
 
 
-def read(folder: str, target: str, made: str) -> None:
+def read(folder: str, target: str, builder: str) -> None:
     """Save what our reader says, its episodes from the last to the first, and convert the set."""
     from xpl_cli.basics.progress import Progress
     from xpl_cli.data.conversion import job
     from xpl_cli.data.formats.writing import WriteOptions
     from xpl_cli.data.reading import open_set
 
-    found = open_set(folder)
+    dataset = open_set(folder)
     kept: dict[str, Any] = {}
-    for index in reversed(range(len(found))):
-        episode = found[index]
+    for index in reversed(range(len(dataset))):
+        episode = dataset[index]
         told = episode.extras["episode_metadata/file_path"]
         kept |= {f"{told}/{name}": episode.read(name) for name in episode.columns}
         kept |= {f"{told}/{name}": np.stack(list(episode.frames(name))) for name in episode.cameras}
@@ -94,7 +94,9 @@ def read(folder: str, target: str, made: str) -> None:
         kept[f"{told}/length"] = np.array(episode.length)
     np.savez(target, **{name.removeprefix("/raw/"): value for name, value in kept.items()})
     options = WriteOptions(images="png")
-    job.convert(job.ConversionJob(Path(folder), Path(made), "lerobot-v3.0", rate_hz=15.0, options=options), Progress())
+    job.convert(
+        job.ConversionJob(Path(folder), Path(builder), "lerobot-v3.0", rate_hz=15.0, options=options), Progress()
+    )
 
 
 if __name__ == "__main__":

@@ -37,9 +37,9 @@ EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 def test_aloha(tmp_path: Path) -> None:
     """Numbers, raw images and padded JPEGs, the rate and the sentence of attributes."""
     qpos, action, frames = datasets.aloha(tmp_path / "episode_0.hdf5")
-    found = open_set(tmp_path)
-    (episode,) = (found[index] for index in range(len(found)))
-    assert (found.format, found.rate_hz, episode.instructions) == ("aloha", 50.0, (datasets.SENTENCE,))
+    dataset = open_set(tmp_path)
+    (episode,) = (dataset[index] for index in range(len(dataset)))
+    assert (dataset.format, dataset.rate_hz, episode.instructions) == ("aloha", 50.0, (datasets.SENTENCE,))
     np.testing.assert_array_equal(episode.read("observations/qpos"), qpos)
     np.testing.assert_array_equal(episode.read("action", 1, 3), action[1:3])
     np.testing.assert_array_equal(list(episode.frames("observations/images/top")), frames)
@@ -51,10 +51,10 @@ def test_aloha(tmp_path: Path) -> None:
 def test_robomimic(tmp_path: Path) -> None:
     """Numbers and images of each demonstration, the sentence, the robot and the rate of attributes."""
     path = datasets.libero(tmp_path / "bowl_demo.hdf5")
-    found = open_set(path)
-    assert (found.format, found.rate_hz, found.robot, len(found)) == ("robomimic", 20.0, "Panda", 3)
+    dataset = open_set(path)
+    assert (dataset.format, dataset.rate_hz, dataset.robot, len(dataset)) == ("robomimic", 20.0, "Panda", 3)
     for index in range(3):
-        episode = found[index]
+        episode = dataset[index]
         with h5py.File(path) as file:
             group = file[f"data/demo_{index}"]
             actions, images = group["actions"][:], group["obs/agentview_rgb"][:]
@@ -85,10 +85,10 @@ def test_diffusion_policy(tmp_path: Path, packed: bool) -> None:
     path = tmp_path / "replay.zarr"
     if packed:
         path = Path(shutil.make_archive(str(tmp_path / "replay.zarr"), "zip", path))
-    found = open_set(path)
-    assert (found.format, len(found), found.rate_hz, found.robot) == ("diffusion-policy", 2, None, None)
+    dataset = open_set(path)
+    assert (dataset.format, len(dataset), dataset.rate_hz, dataset.robot) == ("diffusion-policy", 2, None, None)
     for index, part in enumerate((slice(0, 4), slice(4, 9))):
-        episode = found[index]
+        episode = dataset[index]
         np.testing.assert_array_equal(episode.read("action"), action[part])
         np.testing.assert_array_equal(episode.read("action", 1, 3), action[part][1:3])
         np.testing.assert_array_equal(list(episode.frames("img")), images[part])
@@ -98,10 +98,10 @@ def test_diffusion_policy(tmp_path: Path, packed: bool) -> None:
 def test_lerobot_v21(tmp_path: Path) -> None:
     """Numbers of tables, frames of videos, lists of JSON lines."""
     datasets.lerobot_v21(tmp_path)
-    found = open_set(tmp_path)
-    assert (found.format, found.rate_hz, found.robot, len(found)) == ("lerobot-v2.1", 10.0, "panda", 3)
+    dataset = open_set(tmp_path)
+    assert (dataset.format, dataset.rate_hz, dataset.robot, len(dataset)) == ("lerobot-v2.1", 10.0, "panda", 3)
     for index in range(3):
-        episode = found[index]
+        episode = dataset[index]
         table = pq.read_table(tmp_path / "data/chunk-000" / f"episode_{index:06d}.parquet")
         np.testing.assert_array_equal(episode.read("action"), table["action"].to_pylist())
         np.testing.assert_array_equal(episode.read("task_index"), table["task_index"])
@@ -113,10 +113,10 @@ def test_lerobot_v21(tmp_path: Path) -> None:
 def test_lerobot_v30(tmp_path: Path) -> None:
     """Two episodes in one table and one video: each gets its own rows, frames and images, with the names of numbers."""
     actions, frames = datasets.lerobot_v30(tmp_path)
-    found = open_set(tmp_path)
-    assert (found.format, found.rate_hz, len(found)) == ("lerobot-v3.0", 10.0, 2)
+    dataset = open_set(tmp_path)
+    assert (dataset.format, dataset.rate_hz, len(dataset)) == ("lerobot-v3.0", 10.0, 2)
     for index, part in enumerate((slice(0, 4), slice(4, 10))):
-        episode = found[index]
+        episode = dataset[index]
         assert (episode.length, episode.instructions) == (part.stop - part.start, (datasets.SENTENCE,))
         assert episode.columns["action"].names[-1] == "joint_6"
         np.testing.assert_array_equal(episode.read("action"), actions[part])
@@ -129,12 +129,12 @@ def test_lerobot_v30(tmp_path: Path) -> None:
 
 
 def _everything(path: Path) -> None:
-    found = open_set(path)
-    for index in range(len(found)):
-        found[index].instructions  # noqa: B018 - asking is what is tested
-        datasets.numbers(found[index])
-        for name in found[index].cameras:
-            list(found[index].frames(name))
+    dataset = open_set(path)
+    for index in range(len(dataset)):
+        dataset[index].instructions  # noqa: B018 - asking is what is tested
+        datasets.numbers(dataset[index])
+        for name in dataset[index].cameras:
+            list(dataset[index].frames(name))
 
 
 def _truncated(name: str) -> Callable[[Path], Any]:

@@ -32,8 +32,8 @@ def test_a_folder_of_tasks_is_one_set(tmp_path: Path) -> None:
     """Episodes of all files have keys of their own, in the order in which people count."""
     for name in ("bowl", "plate"):
         datasets.libero(tmp_path / f"{name}_demo.hdf5", episodes=2)
-    found = open_set(tmp_path)
-    assert [found[index].key for index in range(len(found))] == [
+    dataset = open_set(tmp_path)
+    assert [dataset[index].key for index in range(len(dataset))] == [
         f"{name}_demo/demo_{index}" for name in ("bowl", "plate") for index in range(2)
     ]
 

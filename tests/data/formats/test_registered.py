@@ -52,8 +52,8 @@ main(["audit", "--help"])
 main(["data", "list", "--help"])
 print(*(name for name in sys.modules if name.startswith(("xpl_cli.audit.formats", "xpl_cli.data"))), file=sys.stderr)
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert done.stderr.strip() == ""
+    completed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert completed.stderr.strip() == ""
 
 
 def test_a_package_is_asked_before_us(install: Install, demos: Path) -> None:
@@ -78,8 +78,8 @@ def test_a_package_is_asked_before_us(install: Install, demos: Path) -> None:
 def test_a_broken_format_is_told_by_its_distribution(
     install: Install, monkeypatch: pytest.MonkeyPatch, demos: Path, case: tuple[str, str, str]
 ) -> None:
-    name, module, told = case
+    name, module, message = case
     monkeypatch.delitem(sys.modules, "made_bad", raising=False)
     install("bad", f"[xpl.formats]\n{name} = made_bad\n", {"made_bad.py": module})
-    with pytest.raises(EntryPointError, match=rf"(?s)(of bad 1\.0.*{told}|{told}.*of bad 1\.0)"):
+    with pytest.raises(EntryPointError, match=rf"(?s)(of bad 1\.0.*{message}|{message}.*of bad 1\.0)"):
         open_set(demos)

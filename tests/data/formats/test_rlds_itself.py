@@ -29,8 +29,8 @@ pytestmark = [
 def _run(*arguments: str | Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
     command = [PYTHON, rlds_driver.__file__, *map(str, arguments)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+    completed = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert completed.returncode == 0, completed.stderr[-2000:]
 
 
 def test_what_tensorflow_datasets_writes_is_read_and_converted(tmp_path: Path) -> None:
@@ -38,23 +38,23 @@ def test_what_tensorflow_datasets_writes_is_read_and_converted(tmp_path: Path) -
     _run("write", tmp_path / "rlds", tmp_path / "written.npz")
     root = tmp_path / "rlds" / "droid_small" / "1.0.0"
     _run("read", root, tmp_path / "read.npz", tmp_path / "made")
-    written, found = np.load(tmp_path / "written.npz"), np.load(tmp_path / "read.npz")
+    written, dataset = np.load(tmp_path / "written.npz"), np.load(tmp_path / "read.npz")
     for name in written.files:
-        np.testing.assert_array_equal(found[name], written[name], err_msg=name)
+        np.testing.assert_array_equal(dataset[name], written[name], err_msg=name)
     wordings = []
     for index in range(rlds_driver.EPISODES):
-        length = int(found[f"{index}/length"])
+        length = int(dataset[f"{index}/length"])
         assert length == 4 + index
-        assert found[f"{index}/is_last"].tolist() == [False] * (length - 1) + [True]
+        assert dataset[f"{index}/is_last"].tolist() == [False] * (length - 1) + [True]
         for place, camera in enumerate(rlds_driver.CAMERAS):
-            shown = found[f"{index}/observation/{camera}"]
-            worst = min(image_codec.psnr(shown[step], rlds_driver.image(step + 40 * place)) for step in range(length))
+            frames = dataset[f"{index}/observation/{camera}"]
+            worst = min(image_codec.psnr(frames[step], rlds_driver.image(step + 40 * place)) for step in range(length))
             assert worst > LOSSY_DB
-        wordings.append(found[f"{index}/told"].tolist())
+        wordings.append(dataset[f"{index}/told"].tolist())
     assert wordings[:2] == [["put the pen in the cup"], ["put the pen in the cup", "pen into cup"]]
-    made = open_set(tmp_path / "made")
-    told = [made[index].extras["episode_metadata/file_path"] for index in range(len(made))]
+    target = open_set(tmp_path / "made")
+    told = [target[index].extras["episode_metadata/file_path"] for index in range(len(target))]
     for index, name in enumerate(told):
         number = name.removeprefix("/raw/")
-        np.testing.assert_array_equal(made[index].read("action"), written[f"{number}/action"])
+        np.testing.assert_array_equal(target[index].read("action"), written[f"{number}/action"])
     assert sorted(told) == [f"/raw/{index}" for index in range(rlds_driver.EPISODES)]

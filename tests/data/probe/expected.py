@@ -97,24 +97,24 @@ FREE = {"gripper range", "idle start", "latency", "camera", "orientation", "chan
 """Topics that are checked by tests of their own, or that a convention does not fix."""
 
 
-def judge(found: ProbeResult, motions: Sequence[Motion], how: Convention) -> tuple[list[str], list[str], list[str]]:
+def judge(answers: ProbeResult, motions: Sequence[Motion], how: Convention) -> tuple[list[str], list[str], list[str]]:
     """Return what a probe says right, what it says wrong, and what is true and it does not know."""
     truth = expected(motions, how)
     right, wrong, missing = [], [], []
-    for answer in found.answers:
+    for answer in answers.answers:
         if not answer.is_known or (answer.topic in FREE and (answer.topic, answer.subject) not in truth):
             continue
         key = (answer.topic, answer.subject)
-        told = f"{answer.topic} of {answer.subject}: {answer.value}"
+        claims = f"{answer.topic} of {answer.subject}: {answer.value}"
         if key not in truth:
-            wrong.append(f"{told}, of which nothing is so")
+            wrong.append(f"{claims}, of which nothing is so")
         elif truth[key] == answer.value or (
             isinstance(truth[key], float) and np.isclose(truth[key], answer.value, rtol=0.01)
         ):
-            right.append(told)
+            right.append(claims)
         else:
-            wrong.append(f"{told}, and it is {truth[key]}")
-    known = {(answer.topic, answer.subject) for answer in found.answers if answer.is_known}
+            wrong.append(f"{claims}, and it is {truth[key]}")
+    known = {(answer.topic, answer.subject) for answer in answers.answers if answer.is_known}
     missing = [
         f"{topic} of {subject}: {value}" for (topic, subject), value in truth.items() if (topic, subject) not in known
     ]

@@ -33,16 +33,16 @@ OPEN = {
 
 def _made(written: tuple[tuple[tuple[str, str, int], ...], Convention]) -> tuple[ProbeResult, list[Motion], Convention]:
     motions, how = written
-    played = [motion(*one) for one in motions]
-    return probe(write(played, how)), played, how
+    trajectory = [motion(*one) for one in motions]
+    return probe(write(trajectory, how)), trajectory, how
 
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize("name", TUNED)
 def test_every_convention_is_found(name: str) -> None:
     """Nothing is claimed wrongly, and nothing is unknown that could be known."""
-    found, played, how = _made(TUNED[name])
-    _, wrong, missing = judge(found, played, how)
+    result, played, how = _made(TUNED[name])
+    _, wrong, missing = judge(result, played, how)
     assert not wrong
     assert {told.partition(" of ")[0] for told in missing} <= OPEN.get(name, set())
 
@@ -51,8 +51,8 @@ def test_every_convention_is_found(name: str) -> None:
 @pytest.mark.parametrize("name", [*NEW, *LAST])
 def test_nothing_is_claimed_wrongly_of_sets_that_nothing_was_tuned_on(name: str) -> None:
     """Other tasks, robots and conventions."""
-    found, played, how = _made({**NEW, **LAST}[name])
-    right, wrong, _ = judge(found, played, how)
+    result, played, how = _made({**NEW, **LAST}[name])
+    right, wrong, _ = judge(result, played, how)
     assert right
     assert not wrong
 
@@ -67,10 +67,10 @@ def _still() -> MemorySet:
 
 
 def test_commands_that_lead_nowhere_have_no_reference() -> None:
-    found = probe(_still())
-    known = [one for one in found.answers if one.topic in {"reference", "order"} and one.is_known]
-    assert not known
-    assert all(one.needs for one in found.answers if not one.is_known)
+    result = probe(_still())
+    references = [one for one in result.answers if one.topic in {"reference", "order"} and one.is_known]
+    assert not references
+    assert all(one.needs for one in result.answers if not one.is_known)
 
 
 def test_the_next_state_as_command_is_told() -> None:
@@ -86,7 +86,7 @@ def test_the_next_state_as_command_is_told() -> None:
 def test_latency_grows_by_the_steps_that_commands_are_late() -> None:
     played = [motion(*one) for one in ONE[:2]]
     plain, other = (probe(write(played, replace(Convention(), late=steps))) for steps in (0, 2))
-    first, second = (found.value("latency", "action[0:7]") for found in (plain, other))
+    first, second = (result.value("latency", "action[0:7]") for result in (plain, other))
     assert second - first == pytest.approx(2, abs=0.3)
 
 
@@ -96,14 +96,14 @@ def test_a_set_that_says_another_rate_than_its_times_is_contradicted() -> None:
     answer = probe(made).of("rate", "set")
     assert answer is not None
     assert answer.value == pytest.approx(25.0)
-    assert "the set says 10 Hz, which is not so" in answer.evidence
+    assert "it contradicts the dataset's 10 Hz" in answer.evidence
 
 
 def test_a_draft_is_a_model_io_block_and_what_is_open_says_why() -> None:
     """It fits its schema, and holds what was measured."""
     motions, how = TUNED["pose xyzw beside joints"]
-    found = probe(write([motion(*one) for one in motions], how))
-    made = yaml.safe_load(draft.draft_yaml(found))
+    result = probe(write([motion(*one) for one in motions], how))
+    made = yaml.safe_load(draft.draft_yaml(result))
     assert not validate.validate(made["model_io"], "model_io")
     parts = made["model_io"]["action"]["parts"]
     assert made["model_io"]["action"]["reference"] == "absolute"
@@ -119,9 +119,9 @@ def test_a_page_holds_every_answer_and_reaches_nothing() -> None:
     made = write([motion(*one) for one in ONE[:2]], Convention())
     for episode in made.episodes:
         episode.numbers["<b>action"] = episode.numbers.pop("action")
-    found = probe(made)
-    text = page.page(found, "a set")
-    assert all(one.topic in text for one in found.answers)
+    result = probe(made)
+    text = page.page(result, "a set")
+    assert all(one.topic in text for one in result.answers)
     assert "<b>action" not in text
     assert "http" not in text
 
@@ -133,6 +133,6 @@ def test_a_margin_is_over_the_best_with_another_value() -> None:
         (("form", "a"), ("frame", "y")): 0.11,
         (("form", "b"), ("frame", "x")): 0.4,
     }
-    contest = HypothesisRanking(errors)
-    assert contest.judge("form") == ("a", pytest.approx(4.0), "b")
-    assert contest.judge("frame")[1] < MARGIN
+    ranking = HypothesisRanking(errors)
+    assert ranking.judge("form") == ("a", pytest.approx(4.0), "b")
+    assert ranking.judge("frame")[1] < MARGIN

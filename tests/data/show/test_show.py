@@ -35,8 +35,8 @@ def test_a_sheet_shows_the_pictures_of_the_file(
     assert main.main(command) == 0
     assert json.loads(capsys.readouterr().out)["files"] == [str(tmp_path / "sheet.png")]
     sheet = np.asarray(Image.open(io.BytesIO((tmp_path / "sheet.png").read_bytes())))
-    wanted = datasets.picture(0)[::-1][5, 40]
-    assert (np.abs(sheet.astype(int) - wanted).sum(-1) == 0).any()
+    expected = datasets.picture(0)[::-1][5, 40]
+    assert (np.abs(sheet.astype(int) - expected).sum(-1) == 0).any()
 
 
 def test_what_cannot_be_shown_is_said(libero: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,9 +70,9 @@ def fields(robot: str, rng: np.random.Generator, *, joints: bool, ends: bool = F
 
 def steps(case: Case, rng: np.random.Generator, count: int) -> list[dict[str, np.ndarray]]:
     """Return action steps of the robot; grippers closed or open, so that thresholds change nothing."""
-    wanted = case.embodiment.dims(case.action_type)
-    made = [fields(case.robot, rng, joints=True, ends=True) for _ in range(count)]
-    return [{key: step[key] for key in wanted} for step in made]
+    dims = case.embodiment.dims(case.action_type)
+    actions = [fields(case.robot, rng, joints=True, ends=True) for _ in range(count)]
+    return [{key: step[key] for key in dims} for step in actions]
 
 
 def words(schema: Mapping[str, Any], value: Any, root: Mapping[str, Any], place: str = "") -> Iterator[tuple[str, Any]]:
@@ -96,10 +96,10 @@ def words(schema: Mapping[str, Any], value: Any, root: Mapping[str, Any], place:
 
 def vocabulary(schema: Mapping[str, Any]) -> set[tuple[str, Any]]:
     """Return every word of the schema that a block may hold, as `words` tells them."""
-    found: set[tuple[str, Any]] = set()
+    values: set[tuple[str, Any]] = set()
 
     def walk(node: Mapping[str, Any], place: str) -> None:
-        found.update((place, option["const"]) for option in node.get("oneOf", ()) if "const" in option)
+        values.update((place, option["const"]) for option in node.get("oneOf", ()) if "const" in option)
         for option in node.get("anyOf", ()):
             walk(option, place)
         for key, item in node.get("properties", {}).items():
@@ -111,7 +111,7 @@ def vocabulary(schema: Mapping[str, Any]) -> set[tuple[str, Any]]:
     for name, node in schema["$defs"].items():
         if name != "convention":  # those are of reference.py
             walk(node, name)
-    return found
+    return values
 
 
 def _image(name: str, *cameras: str, **more: Any) -> dict[str, Any]:

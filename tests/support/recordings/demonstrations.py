@@ -142,17 +142,17 @@ def _episode(motion: Motion, how: Convention, index: int) -> MemoryEpisode:
     columns: dict[str, np.ndarray] = {}
     for side in motion.joints:
         prefix = "" if side == "single" else f"{side}_"
-        seen = _arm(motion, side, how, "state")
-        wanted = _arm(motion, side, how, "action")
-        seen = {name: rows[kept] for name, rows in seen.items()}
-        wanted = {name: rows[kept] for name, rows in wanted.items()}
+        frames = _arm(motion, side, how, "state")
+        targets = _arm(motion, side, how, "action")
+        frames = {name: rows[kept] for name, rows in frames.items()}
+        targets = {name: rows[kept] for name, rows in targets.items()}
         if how.late:
-            wanted = {
+            targets = {
                 name: np.concatenate([rows[how.late :], np.repeat(rows[-1:], how.late, 0)])
-                for name, rows in wanted.items()
+                for name, rows in targets.items()
             }
-        said = _counted(seen, wanted, how)
-        written = {name: _written(name, rows, how, how.gripper, how.order) for name, rows in seen.items()}
+        said = _counted(frames, targets, how)
+        written = {name: _written(name, rows, how, how.gripper, how.order) for name, rows in frames.items()}
         order = how.action_order or how.order
         for name in how.state:
             if how.separate:
@@ -177,7 +177,7 @@ def _episode(motion: Motion, how: Convention, index: int) -> MemoryEpisode:
 def _names(motion: Motion, how: Convention) -> dict[str, tuple[str, ...]]:
     """Return names of numbers as LeRobot has them."""
     count = len(get_embodiment(motion.robot).arms[0].joint_names or ())
-    known = {
+    names = {
         "joints": [f"joint_{number}" for number in range(1, count + 1)],
         "gripper": ["gripper"],
         "position": ["x", "y", "z"],
@@ -187,7 +187,7 @@ def _names(motion: Motion, how: Convention) -> dict[str, tuple[str, ...]]:
     said = {"observation.state": how.state, "action": how.action}
     sides = ["" if side == "single" else f"{side}_" for side in motion.joints]
     return {
-        column: tuple(f"{side}{name}" for side in sides for part in parts for name in known[part])
+        column: tuple(f"{side}{name}" for side in sides for part in parts for name in names[part])
         for column, parts in said.items()
     }
 
@@ -210,19 +210,19 @@ def _arm(motion: Motion, side: str, how: Convention, role: str) -> dict[str, np.
     }
 
 
-def _counted(seen: dict[str, np.ndarray], wanted: dict[str, np.ndarray], how: Convention) -> dict[str, np.ndarray]:
+def _counted(seen: dict[str, np.ndarray], expected: dict[str, np.ndarray], how: Convention) -> dict[str, np.ndarray]:
     """Return commands as they are counted: rotations as quaternions still."""
     if how.reference == "absolute":
-        return wanted
-    before = {name: np.concatenate([seen[name][:1], rows[:-1]]) for name, rows in wanted.items()}
+        return expected
+    before = {name: np.concatenate([seen[name][:1], rows[:-1]]) for name, rows in expected.items()}
     base = seen if how.reference == "delta_state" else before
-    said = dict(wanted)
-    said["joints"] = wanted["joints"] - base["joints"]
-    move = wanted["position"] - base["position"]
-    turn = multiply(wanted["rotation"], conjugate(base["rotation"]))
+    said = dict(expected)
+    said["joints"] = expected["joints"] - base["joints"]
+    move = expected["position"] - base["position"]
+    turn = multiply(expected["rotation"], conjugate(base["rotation"]))
     if how.applied == "body":
         move = rotate(conjugate(base["rotation"]), move)
-        turn = multiply(conjugate(base["rotation"]), wanted["rotation"])
+        turn = multiply(conjugate(base["rotation"]), expected["rotation"])
     said["position"], said["rotation"] = move, turn
     return said
 
@@ -236,8 +236,8 @@ def _written(
     if name == "position":
         return rows / how.length
     if name == "rotation":
-        found = rotations.encode(rows, how.form, how.euler)
-        return np.rad2deg(found) if how.degrees else found
+        paths = rotations.encode(rows, how.form, how.euler)
+        return np.rad2deg(paths) if how.degrees else paths
     value = ends[0] + rows * (ends[1] - ends[0])
     if name == "fingers":
         return np.concatenate([value / 2, -value / 2], axis=1)

@@ -56,12 +56,12 @@ def motion(task: str, robot: str, seed: int, *, cameras: bool = False, most: int
     embodiment = get_embodiment(robot)
     chain = Chain.from_embodiment(embodiment.data)
     env.reset([seed])
-    kept: dict[str, dict[str, list[Any]]] = {}
+    positions: dict[str, dict[str, list[Any]]] = {}
     instruction = ""
     base: dict[str, np.ndarray] = {}
 
     def keep(kind: str, name: str, value: Any) -> None:
-        kept.setdefault(kind, {}).setdefault(name, []).append(np.array(value))
+        positions.setdefault(kind, {}).setdefault(name, []).append(np.array(value))
 
     step = 0
     while not env.is_episode_end() and step < most:
@@ -76,12 +76,12 @@ def motion(task: str, robot: str, seed: int, *, cameras: bool = False, most: int
             keep("opening", name, obs["state"][f"{arm.prefix}ee_joint_state"][0])
             keep("commands", name, action[f"{arm.prefix}arm_joint_state"])
             keep("grip", name, action[f"{arm.prefix}ee_joint_state"][0])
-        for camera, shown in obs.get("vision", {}).items():
-            keep("images", camera, shown["color"][::8, ::8])
+        for camera, frames in obs.get("vision", {}).items():
+            keep("images", camera, frames["color"][::8, ::8])
         env.take_action(action)
         step += 1
     env.close()
-    stacked = {kind: {name: np.stack(rows) for name, rows in entry.items()} for kind, entry in kept.items()}
+    stacked = {kind: {name: np.stack(rows) for name, rows in entry.items()} for kind, entry in positions.items()}
     poses, targets = (
         {name: _flange(chain, base[name], rows) for name, rows in stacked[kind].items()}
         for kind in ("joints", "commands")
