@@ -56,6 +56,7 @@ USUAL: dict[str, list[str] | None] = {
     "data probe": ["folder"],
     "data convert": ["folder", "converted"],
     "data declare": ["policy/Foo", "folder"],
+    "checkpoint tiny": ["policy/Foo"],
     "model-io record": ["policy/Foo"],
     "model-io reference": ["policy/Foo"],
     "model-io show": ["policy/Foo"],

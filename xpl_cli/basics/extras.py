@@ -22,6 +22,8 @@ def how_to_install(extra: str) -> str:
         declared = metadata.requires("xpl-cli") or []
     except metadata.PackageNotFoundError:  # run from a checkout that is not installed
         return shlex.join(["pip", "install", f"{_CHECKOUT}[{extra}]"])
-    found = [line.partition(";") for line in declared]
-    wanted = [name.strip() for name, _, marker in found if extra in marker.replace('"', " ").replace("'", " ").split()]
-    return shlex.join(["pip", "install", *wanted])
+    requirements = [line.partition(";") for line in declared]
+    packages = [
+        name.strip() for name, _, marker in requirements if extra in marker.replace('"', " ").replace("'", " ").split()
+    ]
+    return shlex.join(["pip", "install", *packages])

@@ -53,9 +53,9 @@ def from_usage_error(error: Any) -> UserError:
     message = error.format_message().rstrip(".")
     if (option := getattr(error, "option_name", None)) is not None and context is not None:
         return no_such(f"{path} has no option {option}", option, _options(context), listing=f"{path} --help")
-    if message.startswith("No such command") and (given := _QUOTED.search(message)) is not None:
-        known = [name for name, command in context.command.commands.items() if not command.hidden]
-        return no_such(f"{path} has no command {given[1]!r}", given[1], known, listing=f"{path} --help")
+    if message.startswith("No such command") and (match := _QUOTED.search(message)) is not None:
+        names = [name for name, command in context.command.commands.items() if not command.hidden]
+        return no_such(f"{path} has no command {match[1]!r}", match[1], names, listing=f"{path} --help")
     return UserError(f"{path}: {message[:1].lower()}{message[1:]}", hint=f"`{path} --help` tells what it takes")
 
 

@@ -41,14 +41,14 @@ def registered(kind: str) -> dict[str, RegisteredEntry]:
     Raises:
         EntryPointError: if two have the same name, or one has no kind.
     """
-    found = {}
+    formats = {}
     for name, entry in entries(FORMATS, BUILT_IN).items():
         prefix, _, rest = name.partition(".")
         if prefix not in (REPORT, DATA) or not rest:
             raise entry.unusable(f"its name is neither {REPORT}.NAME nor {DATA}.NAME")
         if prefix == kind:
-            found[rest] = entry
-    return found
+            formats[rest] = entry
+    return formats
 
 
 def call(entry: RegisteredEntry, function: str, *arguments: object) -> Any:

@@ -30,10 +30,10 @@ def parse_size(text: str, option: str) -> int:
 
 def size_of(text: str) -> int | None:
     """Return the number of bytes that a text stands for; None if it is malformed."""
-    found = _SIZE.fullmatch(text.strip())
-    if found is None or len(found[1]) > _MOST_DIGITS:
+    match = _SIZE.fullmatch(text.strip())
+    if match is None or len(match[1]) > _MOST_DIGITS:
         return None
-    number, unit, binary = found.groups()
+    number, unit, binary = match.groups()
     base = 1024 if binary else 1000
     return int(float(number) * float(base ** _POWERS[unit.upper()]))
 

@@ -104,4 +104,4 @@ def _escaped(character: str) -> str:
 
 def _escape_code_units(match: re.Match[str]) -> str:
     units = match[0].encode("utf-16-be", errors="surrogatepass")
-    return "".join(f"\\u{units[place : place + 2].hex()}" for place in range(0, len(units), 2))
+    return "".join(f"\\u{units[index : index + 2].hex()}" for index in range(0, len(units), 2))

@@ -19,9 +19,9 @@ def folder() -> Path:
     Raises:
         UserError: if the user has no home folder.
     """
-    given, base = (Path(os.environ.get(name, "")) for name in (VARIABLE, "XDG_CACHE_HOME"))
-    if given.is_absolute():
-        return given
+    configured, base = (Path(os.environ.get(name, "")) for name in (VARIABLE, "XDG_CACHE_HOME"))
+    if configured.is_absolute():
+        return configured
     try:
         return (base if base.is_absolute() else Path.home() / ".cache") / "xpl"
     except RuntimeError:

@@ -51,8 +51,8 @@ def obsolete_pages(root: Path) -> list[str]:
     from xpl_cli.derived import rules
 
     folders = (REFERENCE, rules.FOLDER)
-    found = [f"{folder}/{path.name}" for folder in folders for path in (root / folder).glob("*.md")]
-    return sorted(set(found) - set(_folders()))
+    pages = [f"{folder}/{path.name}" for folder in folders for path in (root / folder).glob("*.md")]
+    return sorted(set(pages) - set(_folders()))
 
 
 def _folders() -> dict[str, str]:
@@ -152,28 +152,28 @@ def compile_source() -> str:
 
 def compile_robots() -> str:
     """Return the text of `xpl/robots/robots.json`: robots and their aliases."""
-    known: dict[str, Mapping[str, Any]] = {
+    parts_by_name: dict[str, Mapping[str, Any]] = {
         "robots": robots.entries(),
         "words": robots.aliases(),
     }
     parts = []
-    for part, entries in known.items():
+    for part, entries in parts_by_name.items():
         lines = [f"  {json.dumps(name)}: {json.dumps(entry, ensure_ascii=False)}" for name, entry in entries.items()]
         parts.append("\n".join([f'"{part}": {{', ",\n".join(lines), "}"]))
     return "\n".join(["{", ",\n".join(parts), "}", ""])
 
 
-def _stored(name: str, known: Mapping[str, Any], readers: Mapping[str, list[str]]) -> str:
+def _stored(name: str, entries: Mapping[str, Any], readers: Mapping[str, list[str]]) -> str:
     """Return the name of an observation's leaf in a trajectory: its own, its plural, or another spelling.
 
     Raises:
         ValueError: if it has none of them.
     """
     candidates = (name, f"{name}s", *readers.get(name, ()))
-    found: str | None = next((candidate for candidate in candidates if candidate in known), None)
-    if found is None:
+    stored_name: str | None = next((candidate for candidate in candidates if candidate in entries), None)
+    if stored_name is None:
         raise ValueError(f"the trajectory has no {name!r}: none of {', '.join(candidates)}")
-    return found
+    return stored_name
 
 
 def _class(name: str, keys: list[str]) -> str:

@@ -102,8 +102,8 @@ def _requirements() -> str:
         proofs.setdefault(rule.requirement, []).append(rule)
     areas: dict[str, list[tuple[str, ...]]] = {}
     for entry in spec.requirements().values():
-        told = ", ".join(f"{rule.code} {rule.slug}" for rule in proofs.get(entry.id, ()))
-        row = (entry.id, entry.level, entry.text, entry.source, told)
+        rules_text = ", ".join(f"{rule.code} {rule.slug}" for rule in proofs.get(entry.id, ()))
+        row = (entry.id, entry.level, entry.text, entry.source, rules_text)
         areas.setdefault(entry.id.split("-")[1], []).append(row)
     lines = [
         "# Requirements",

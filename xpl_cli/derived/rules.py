@@ -56,9 +56,9 @@ def pages() -> dict[str, str]:
     return {f"{name}.md": f"{NOTE}\n{text.strip()}\n" for name, text in sorted(written.items())}
 
 
-def _index(found: dict[str, list[Rule]]) -> str:
+def _index(rules_by_page: dict[str, list[Rule]]) -> str:
     lines = ["# Rules", "", _INTRODUCTION]
-    for digit, members in found.items():
+    for digit, members in rules_by_page.items():
         name, title, _ = _PAGES[digit]
         rows = [
             (f"[{rule.code}]({name}.md#{rule.code.lower()}-{rule.slug}) {rule.slug}", rule.severity, rule.summary)

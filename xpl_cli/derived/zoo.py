@@ -70,9 +70,9 @@ def _lines() -> Iterator[str]:
         yield from (f"### {family}", "", *table(heads, rows), "")
 
 
-def _levels(found: Sequence[ZooPolicy]) -> list[tuple[str, ...]]:
+def _levels(policies_shown: Sequence[ZooPolicy]) -> list[tuple[str, ...]]:
     return [
-        (f"{level.number} {level.word}", level.meaning, str(sum(one.level == level for one in found)))
+        (f"{level.number} {level.word}", level.meaning, str(sum(one.level == level for one in policies_shown)))
         for level in policies.levels()
     ]
 
@@ -106,6 +106,6 @@ def _paper(title: str, arxiv: str | None) -> str:
     return title if arxiv is None else f"[{title}](https://arxiv.org/abs/{arxiv})"
 
 
-def _weights(place: str) -> str:
-    name = place.removeprefix("hf://")
-    return f"[{name}](https://huggingface.co/{name})" if name != place else f"<{place}>"
+def _weights(path: str) -> str:
+    name = path.removeprefix("hf://")
+    return f"[{name}](https://huggingface.co/{name})" if name != path else f"<{path}>"

@@ -78,17 +78,17 @@ def _launch(plan: dict[str, object]) -> list[str]:
 
 def _devices() -> list[str]:
     """Return the compute devices; bubblewrap provides the standard ones."""
-    found = [path for pattern in _GPU_DEVICES for path in sorted(Path("/dev").glob(pattern))]
-    whole = {path for path in found if path.is_dir()}
-    return sorted({str(path) for path in found if path.exists() and path.parent not in whole})
+    devices = [path for pattern in _GPU_DEVICES for path in sorted(Path("/dev").glob(pattern))]
+    whole = {path for path in devices if path.is_dir()}
+    return sorted({str(path) for path in devices if path.exists() and path.parent not in whole})
 
 
 def _covered() -> list[str]:
     """Return the paths below /proc that are writable and concern the machine, not a process."""
-    found = []
+    paths = []
     for path in sorted(Path("/proc").iterdir()):
         if path.name.isdecimal() or path.name in _LINKS:
             continue
         if path.is_dir() or (path.is_file() and path.stat().st_mode & 0o222):
-            found.append(str(path))
-    return found
+            paths.append(str(path))
+    return paths

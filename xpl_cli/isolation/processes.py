@@ -65,8 +65,8 @@ class ProcessInfo:
     @property
     def is_alive(self) -> bool:
         """Whether it is still running."""
-        found = _read_process(self.pid)
-        return found is not None and found.started == self.started
+        process = _read_process(self.pid)
+        return process is not None and process.started == self.started
 
 
 def descendants(pid: int) -> list[ProcessInfo]:
@@ -214,10 +214,10 @@ def _below(pid: int, candidates: Sequence[ProcessInfo], also: Container[int] = (
     """Return the descendants of a process and of some others, with these others."""
     inside = {pid}
     while True:
-        found = {one.pid for one in candidates if one.parent in inside or one.pid in also} | inside
-        if found == inside:
+        expanded = {one.pid for one in candidates if one.parent in inside or one.pid in also} | inside
+        if expanded == inside:
             return [one for one in candidates if one.pid in inside and one.pid != pid]
-        inside = found
+        inside = expanded
 
 
 def _all_processes() -> Iterator[ProcessInfo]:
@@ -228,10 +228,10 @@ def _all_processes() -> Iterator[ProcessInfo]:
 
 
 def _read_process(pid: int) -> ProcessInfo | None:
-    found = _stat_fields(pid)
-    if found is None or found[1][0] == _ZOMBIE:
+    stat_fields = _stat_fields(pid)
+    if stat_fields is None or stat_fields[1][0] == _ZOMBIE:
         return None
-    name, fields = found
+    name, fields = stat_fields
     return ProcessInfo(pid, int(fields[1]), int(fields[2]), int(fields[3]), int(fields[19]), name)
 
 
@@ -271,12 +271,12 @@ def _memory_files(pid: int) -> Iterator[tuple[tuple[int, int], int]]:
 
 def _memory_devices(pid: int) -> set[int]:
     """Return the devices of in-memory files: the kernel's own, and that of a process's `/dev/shm`."""
-    found = set()
+    devices = set()
     with contextlib.suppress(OSError, AttributeError):
-        found.add(_kernels_own())
+        devices.add(_kernels_own())
     with contextlib.suppress(OSError):
-        found.add(os.stat(f"/proc/{pid}/root/dev/shm").st_dev)  # noqa: PTH116 - as above
-    return found
+        devices.add(os.stat(f"/proc/{pid}/root/dev/shm").st_dev)  # noqa: PTH116 - as above
+    return devices
 
 
 @cache

@@ -56,9 +56,9 @@ def _rights() -> Iterator[str]:
     for name in ("CapInh", "CapPrm", "CapEff", "CapBnd", "CapAmb"):
         if int(status[name], 16):
             yield f"capabilities are left ({name} {status[name]})"
-    for name, wanted in (("NoNewPrivs", "1"), ("Seccomp", "2")):
-        if status.get(name) != wanted:
-            yield f"{name} is {status.get(name)}, not {wanted}"
+    for name, expected in (("NoNewPrivs", "1"), ("Seccomp", "2")):
+        if status.get(name) != expected:
+            yield f"{name} is {status.get(name)}, not {expected}"
     if _goes(lambda: os.nice(-1)):
         yield "the priority can be raised"
 

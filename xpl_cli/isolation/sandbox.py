@@ -81,15 +81,15 @@ class MemoryLimit:
         Raises:
             UserError: if it is none of these.
         """
-        asked = text.strip()
-        if asked.lower() == _NO_LIMIT:
+        size_text = text.strip()
+        if size_text.lower() == _NO_LIMIT:
             return None
-        share = _SHARE.fullmatch(asked)
-        size = size_of(asked) if share is None else int(float(share[1]) / 100.0 * machine_memory())
+        share = _SHARE.fullmatch(size_text)
+        size = size_of(size_text) if share is None else int(float(share[1]) / 100.0 * machine_memory())
         if not size:
-            told = f"{text[:80]!r}{'...' if len(text) > 80 else ''}"
-            raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {told}")
-        return cls(size, asked)
+            shortened = f"{text[:80]!r}{'...' if len(text) > 80 else ''}"
+            raise UserError(f"--memory-limit takes a size such as 8GB, a share such as 80%, or none; got {shortened}")
+        return cls(size, size_text)
 
     async def enforce(self, process: WatchedProcess) -> None:
         """Watch a worker until it ends, and kill it when it exceeds the limit."""

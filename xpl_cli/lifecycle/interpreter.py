@@ -103,8 +103,8 @@ def _conda_prefix(name: str) -> Path:
     for prefix in prefixes:
         if name in (prefix.name, str(prefix)):
             return prefix
-    known = ", ".join(prefix.name for prefix in prefixes) or "none"
-    raise UserError(f"there is no conda environment {name!r}; there are: {known}", code=ExitCode.NOT_RUN)
+    names = ", ".join(prefix.name for prefix in prefixes) or "none"
+    raise UserError(f"there is no conda environment {name!r}; there are: {names}", code=ExitCode.NOT_RUN)
 
 
 def _path(python: str) -> Path:
@@ -115,12 +115,12 @@ def _path(python: str) -> Path:
 def _executable(path: Path, hint: str | None = None) -> str:
     # Not resolved: a virtual environment's python is a link, and its own path is what makes it one.
     try:
-        found = path.expanduser().absolute()
-        is_there = found.is_file()
+        executable = path.expanduser().absolute()
+        is_there = executable.is_file()
     except (OSError, RuntimeError):  # an invalid name; the home folder of an unknown user
         is_there = False
     if not is_there:
         raise UserError(f"there is no interpreter at {path}", hint=hint, code=ExitCode.NOT_RUN)
-    if not os.access(found, os.X_OK):
+    if not os.access(executable, os.X_OK):
         raise UserError(f"{path} is no interpreter: it is not executable", code=ExitCode.NOT_RUN)
-    return str(found)
+    return str(executable)

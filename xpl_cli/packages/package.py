@@ -52,18 +52,18 @@ class Package:
         Remaining null keys come from the manifest: the first embodiment and the first action type. For an adapter
         without a manifest, they come from its documents.
         """
-        given = {**self.deploy, **(overrides or {})}
-        if not self.manifest and given.get(sdk.Deploy.ENV_CFG_TYPE) is None:
+        settings = {**self.deploy, **(overrides or {})}
+        if not self.manifest and settings.get(sdk.Deploy.ENV_CFG_TYPE) is None:
             documented_values = documented.documented_arguments(self.path)
-            given |= {key: value for key, value in documented_values.items() if given.get(key) is None}
-        config = {**sdk.DEPLOY_DEFAULTS, **given}
+            settings |= {key: value for key, value in documented_values.items() if settings.get(key) is None}
+        config = {**sdk.DEPLOY_DEFAULTS, **settings}
         fallbacks = {
             sdk.Deploy.POLICY_NAME: self.name,
             sdk.Deploy.ENV_CFG_TYPE: next(iter(self.manifest.embodiments), None),
             sdk.Deploy.ACTION_TYPE: next(iter(self.manifest.action_types), None),
         }
         for key, fallback in fallbacks.items():
-            if given.get(key) is None:
+            if settings.get(key) is None:
                 config[key] = fallback if fallback is not None else config.get(key)
         if config[sdk.Deploy.SEED] is None:
             config[sdk.Deploy.SEED] = sdk.DEPLOY_DEFAULTS[sdk.Deploy.SEED]
@@ -87,7 +87,7 @@ class Package:
 
 
 def find_policy(path: Path | str) -> Path:
-    """Return the folder of an adapter given its path, or its name below `policy/` of the working directory or ours.
+    """Return the folder of an adapter by its path, or by its name below `policy/` of the working directory or of xpl.
 
     Registers the robots that it and its project describe.
 
@@ -95,21 +95,23 @@ def find_policy(path: Path | str) -> Path:
         NotFoundError: if there is no such folder with an adapter in it.
         UserError: if a file describes no valid robot, or one whose name is taken.
     """
-    given = Path(path)
-    candidates = [given, Path("policy") / given, content.content_folder("policy") / given]
+    requested = Path(path)
+    candidates = [requested, Path("policy") / requested, content.content_folder("policy") / requested]
     for candidate in candidates:
         if candidate.is_dir() and any((candidate / name).is_file() for name in MARKS):
-            found = candidate.resolve()
-            robots.register_robots(found)
-            return found
-    if given.is_dir():
+            folder = candidate.resolve()
+            robots.register_robots(folder)
+            return folder
+    if requested.is_dir():
         raise NotFoundError(
-            f"{given} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
+            f"{requested} is a folder without an adapter: expected model.py, deploy.yml or policy.yml in it"
         )
-    hint = f"`xpl new-policy {given.name}` makes one"
-    if any((content.content_folder(room) / given.name / MANIFESTS[kind]).is_file() for room, kind in _ROOMS.items()):
-        hint = f"one of that name comes with xpl, and is called {given.name} alone"
-    raise NotFoundError(f"no adapter at {given}", hint=hint)
+    hint = f"`xpl new-policy {requested.name}` makes one"
+    if any(
+        (content.content_folder(room) / requested.name / MANIFESTS[kind]).is_file() for room, kind in _ROOMS.items()
+    ):
+        hint = f"one of that name comes with xpl, and is called {requested.name} alone"
+    raise NotFoundError(f"no adapter at {requested}", hint=hint)
 
 
 def load(path: Path | str, overrides: Config | None = None) -> Package:

@@ -74,7 +74,7 @@ class Connection(WSListener):
     Attributes:
         packs: the client reads packed answers.
         counts: the client numbers its requests.
-        place: the client's slot, or its last one.
+        slot: the client's slot, or its last one.
         segment: memory shared with the client.
         segment_number: the workers' number for it, once the client has proved that it can map it.
     """

@@ -97,8 +97,8 @@ class RunningServer:
     @property
     def last_error(self) -> str | None:
         """Its last printed error."""
-        found = next((text for text in reversed(self.log) if text.startswith(_ERROR)), None)
-        return None if found is None else found.removeprefix(_ERROR)
+        line = next((text for text in reversed(self.log) if text.startswith(_ERROR)), None)
+        return None if line is None else line.removeprefix(_ERROR)
 
 
 @contextlib.contextmanager

@@ -59,9 +59,9 @@ def method_of(frame: codec.Frame) -> str:
     Raises:
         RequestError: `invalid_frame` if it names no public method.
     """
-    known = _METHODS.get(frame.message_type)
-    if known is not None:
-        return known
+    method = _METHODS.get(frame.message_type)
+    if method is not None:
+        return method
     name = frame.payload.get(spec.Payload.FUNC_NAME)
     if not isinstance(name, str) or name.startswith("_") or name in _PRIVATE:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, f"call needs the name of a public method, got {name!r:.80}")
@@ -131,11 +131,11 @@ class ReplayCache:
         Raises:
             RequestError: `invalid_frame` if the id was used for another type of request.
         """
-        known = self._entries.get(frame.message_id)
-        if known is not None and known.message_type != frame.message_type:
-            text = f"message id {frame.message_id} was used for {known.message_type} and for {frame.message_type}"
+        entry = self._entries.get(frame.message_id)
+        if entry is not None and entry.message_type != frame.message_type:
+            text = f"message id {frame.message_id} was used for {entry.message_type} and for {frame.message_type}"
             raise RequestError(spec.ErrorCode.INVALID_FRAME, text, spec.ErrorReason.DUPLICATE_ID)
-        return known
+        return entry
 
     def begin(self, frame: codec.Frame) -> ReplayEntry:
         """Add a request that starts now."""

@@ -57,10 +57,10 @@ def find(name: str) -> CommandAnswer:
         UnknownNameError: if there is none.
     """
     by_command = {command: answer for answer in answers().values() for command in reversed(answer.commands)}
-    for known in (answers(), by_command):
-        for wanted in (name, f"xpl {name}"):
-            if wanted in known:
-                return known[wanted]
+    for by_name in (answers(), by_command):
+        for candidate in (name, f"xpl {name}"):
+            if candidate in by_name:
+                return by_name[candidate]
     raise no_such(f"no command answers {name!r}", name, answers(), listing="xpl answers", kind=UnknownTargetError)
 
 

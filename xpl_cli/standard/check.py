@@ -78,9 +78,9 @@ def _orphans() -> Iterator[Problem]:
     """Yield unknown and missing files in the folder of the standard."""
     folder = spec.folder()
     parts = {f"{name}.yml" for name in _DATA_FILES}
-    known = parts | {f"{name}.schema.json" for name in spec.schema_names()}
+    expected = parts | {f"{name}.schema.json" for name in spec.schema_names()}
     for path in sorted(folder.iterdir()):
-        if path.name not in known:
+        if path.name not in expected:
             yield Problem((), "no part of the standard", file=path.name)
     for name in sorted(parts):
         if not (folder / name).is_file():

@@ -71,16 +71,16 @@ def explain(error: _Error) -> Iterator[Problem]:
 
 
 def _additional(error: _Error) -> Iterator[Problem]:
-    known = list(error.schema.get("properties", ()))
+    keys = list(error.schema.get("properties", ()))
     for key in error.instance:
-        if key not in known:
+        if key not in keys:
             renamed = error.schema.get("x-renamed", {}).get(key)
-            near = renamed or nearest(key, [name for name in known if name not in error.instance] or known)
-            names = "" if near else f": expected {', '.join(known)}"
+            near = renamed or nearest(key, [name for name in keys if name not in error.instance] or keys)
+            names = "" if near else f": expected {', '.join(keys)}"
             yield Problem(
                 (*_path(error), str(key)),
                 f"unknown key {key!r}{names}",
-                expected=", ".join(known),
+                expected=", ".join(keys),
                 got=str(key),
                 nearest=near,
             )
@@ -169,8 +169,8 @@ def _branches(error: _Error) -> Iterator[Problem]:
 def _distance(error: _Error) -> float:
     """Return the distance of a document from an alternative by one error: missing and extra keys count most."""
     if error.validator == "additionalProperties":
-        known = error.schema.get("properties", ())
-        return float(sum(key not in known for key in error.instance))
+        names = error.schema.get("properties", ())
+        return float(sum(key not in names for key in error.instance))
     if error.validator == "required":
         return 1.0
     if not error.path and (error.validator == "type" or (error.validator == "const" and _is_map(error.instance))):

@@ -37,12 +37,12 @@ def folder() -> Path:
 def entries() -> dict[str, dict[str, Any]]:
     """Return every robot by name, complete: with the entries inherited by `like`."""
     waiting = {path.stem: spec.read_yaml(path) for path in _files()}
-    known: dict[str, dict[str, Any]] = {}
-    while ready := [name for name, entry in waiting.items() if entry.get("like") in (None, *known)]:
+    complete: dict[str, dict[str, Any]] = {}
+    while ready := [name for name, entry in waiting.items() if entry.get("like") in (None, *complete)]:
         for name in ready:
             entry = waiting.pop(name)
-            known[name] = robots.inherit(known[entry["like"]], entry) if "like" in entry else entry
-    return dict(sorted(known.items()))
+            complete[name] = robots.inherit(complete[entry["like"]], entry) if "like" in entry else entry
+    return dict(sorted(complete.items()))
 
 
 @cache
@@ -56,23 +56,23 @@ def check() -> Iterator[Problem]:
     taken: dict[str, str] = {}
     whole = entries()
     for path in _files():
-        shown = f"robots/{path.name}"
-        entry, problems = read(path.read_bytes(), shown, whole)
+        file = f"robots/{path.name}"
+        entry, problems = read(path.read_bytes(), file, whole)
         yield from problems
         if entry is None:
             continue
         for word in (entry["name"], *entry.get("aliases", ())):
             if word in taken:
-                yield Problem((), f"the name {word} is taken by {taken[word]}", file=shown)
+                yield Problem((), f"the name {word} is taken by {taken[word]}", file=file)
             taken[word] = entry["name"]
         if not entry.get("sources"):
-            yield Problem(("sources",), "numbers without a source", file=shown)
+            yield Problem(("sources",), "numbers without a source", file=file)
     for word, name in aliases().items():
-        shown = f"robots/{_ALIASES}"
+        file = f"robots/{_ALIASES}"
         if word in taken:
-            yield Problem((word,), f"the name {word} is taken by {taken[word]}", file=shown)
+            yield Problem((word,), f"the name {word} is taken by {taken[word]}", file=file)
         if name not in whole:
-            yield Problem((word,), f"there is no robot {name!r}", file=shown)
+            yield Problem((word,), f"there is no robot {name!r}", file=file)
 
 
 def read(content: bytes, file: str, others: Mapping[str, Entry]) -> tuple[dict[str, Any] | None, list[Problem]]:

@@ -104,10 +104,10 @@ def _referred(reference: str, name: str, definitions: Definitions, root: str) ->
     return f"#/definitions/{label}"
 
 
-def _array(wanted: Schema) -> dict[str, Any]:
+def _array(array: Schema) -> dict[str, Any]:
     """Write an `x-array` as nested lists; sizes that go by a symbol are free."""
-    result: dict[str, Any] = {"type": _KINDS[wanted["dtype"]]}
-    for size in reversed(wanted["shape"]):
+    result: dict[str, Any] = {"type": _KINDS[array["dtype"]]}
+    for size in reversed(array["shape"]):
         limits = {"minItems": size, "maxItems": size} if isinstance(size, int) else {}
         result = {"type": "array", "items": result, **limits}
     return result

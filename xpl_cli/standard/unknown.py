@@ -42,13 +42,13 @@ def _without_empty(original: object, remaining: object) -> Any:
 def _known(value: object, path: KeyPath, gaps: dict[KeyPath, str]) -> Any:
     if not isinstance(value, dict):
         return value
-    known = {}
+    result = {}
     for key, entry in value.items():
         why = reason(entry)
         if not path and key in _OWN:
-            known[key] = entry
+            result[key] = entry
         elif why is not None:
             gaps[*path, key] = why
         else:
-            known[key] = _known(entry, (*path, key), gaps)
-    return known
+            result[key] = _known(entry, (*path, key), gaps)
+    return result

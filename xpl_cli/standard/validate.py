@@ -114,8 +114,8 @@ def _validator_class() -> Callable[..., Validator]:
 
     keywords = cast("dict[str, Callable[..., Any]]", Draft202012Validator.VALIDATORS)
 
-    def x_array(_validator: object, wanted: Schema, instance: object, _schema: object) -> Iterator[ValidationError]:
-        if message := _array_message(wanted, instance):
+    def x_array(_validator: object, expected: Schema, instance: object, _schema: object) -> Iterator[ValidationError]:
+        if message := _array_message(expected, instance):
             yield ValidationError(message)
 
     def scoped(keyword: str) -> Callable[..., Any]:
@@ -176,11 +176,11 @@ def _scalar_kind(value: object) -> str:
     return str(value.dtype.kind) if getattr(value, "shape", None) == () and hasattr(value, "dtype") else "-"
 
 
-def _array_message(wanted: Schema, instance: object) -> str | None:
+def _array_message(spec_entry: Schema, instance: object) -> str | None:
     """Return how a value differs from `{shape, dtype}`, or None; binds the symbols of a matching shape."""
-    shape, dtype = wanted["shape"], wanted["dtype"]
+    shape, dtype = spec_entry["shape"], spec_entry["dtype"]
     array = _as_array(instance, dtype)
-    expected = shape_text(wanted)
+    expected = shape_text(spec_entry)
     if array is None:
         return f"expected {expected}, got {describe_value(instance)}"
     got = f"({', '.join(map(str, array.shape))}{',' if array.ndim == 1 else ''}) {array.dtype}"
@@ -189,21 +189,21 @@ def _array_message(wanted: Schema, instance: object) -> str | None:
     scopes = _scopes.get()
     bound: dict[str, int] = {}
     for size, entry in zip(array.shape, shape, strict=True):
-        known = entry if isinstance(entry, int) else {**scopes.of(entry), **bound}.get(entry)
-        if known is None:
+        bound_size = entry if isinstance(entry, int) else {**scopes.of(entry), **bound}.get(entry)
+        if bound_size is None:
             bound[entry] = size
-        elif known != size:
-            note = "" if isinstance(entry, int) else f" with {entry} = {known}"
+        elif bound_size != size:
+            note = "" if isinstance(entry, int) else f" with {entry} = {bound_size}"
             return f"expected {expected}{note}, got {got}"
     for symbol, size in bound.items():
         scopes.of(symbol)[symbol] = size
     return None
 
 
-def shape_text(wanted: Schema) -> str:
+def shape_text(entry: Schema) -> str:
     """Return an `x-array` as text: `(H, W, 3) uint8`."""
-    shape = wanted["shape"]
-    dtype = "numbers" if wanted["dtype"] == "number" else wanted["dtype"]
+    shape = entry["shape"]
+    dtype = "numbers" if entry["dtype"] == "number" else entry["dtype"]
     return f"({', '.join(map(str, shape))}{',' if len(shape) == 1 else ''}) {dtype}"
 
 
@@ -272,10 +272,10 @@ def validate_yaml(content: bytes, file: str, schema_name: str) -> tuple[Any, lis
         return None, [Problem((), message, "a map", "nothing", file=file, line=1, column=1, page=page)]
     data, root = document.data, document.root
     problems = validate(data, schema_name)
-    found = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
+    marked = [*_repeated_keys(root), *((problem, mark_of(root, problem.path)) for problem in problems)]
     placed = [
         replace(problem, file=file, line=mark.line + 1, column=mark.column + 1, page=page_of(schema_name, problem))
-        for problem, mark in found
+        for problem, mark in marked
     ]
     return unknown.known(data) if schema_name == _OPEN else data, sorted(
         placed, key=lambda problem: (problem.line or 0, problem.column or 0)

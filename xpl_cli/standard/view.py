@@ -102,9 +102,9 @@ def _from(robot: str) -> str:
 
 
 def _unknown(name: str) -> UnknownNameError:
-    known = [*PARTS, *spec.schema_names(), *robots.entries(), *spec.requirements()]
+    names = [*PARTS, *spec.schema_names(), *robots.entries(), *spec.requirements()]
     sentence = f"the standard has no {name!r}"
-    return no_such(sentence, name, known, listing="xpl spec show", kind=UnknownTargetError)
+    return no_such(sentence, name, names, listing="xpl spec show", kind=UnknownTargetError)
 
 
 def _index() -> dict[str, Any]:
@@ -124,9 +124,11 @@ def _index_text(index: Mapping[str, Any]) -> str:
     lines = [f"spec {index['version']}, {index['requirements']} requirements; `xpl spec show NAME` shows one of:"]
     for heading in ("parts", "schemas"):
         lines += ["", heading, _table([(f"  {name}", text) for name, text in index[heading].items()])]
-    sources = dict.fromkeys(told["from"] for told in index["robots"].values())
+    sources = dict.fromkeys(entry["from"] for entry in index["robots"].values())
     for source in sources:
-        rows = [(f"  {name}", told["description"]) for name, told in index["robots"].items() if told["from"] == source]
+        rows = [
+            (f"  {name}", entry["description"]) for name, entry in index["robots"].items() if entry["from"] == source
+        ]
         lines += ["", f"embodiments of {source}", _table(rows)]
     return "\n".join(lines)
 
@@ -163,12 +165,12 @@ def sections(schema: Schema) -> list[SchemaSection]:
     if "properties" in schema:
         return [SchemaSection(None, tuple(_rows(schema, resolver)))]
     options = schema.get("oneOf") or [{"$ref": f"#/$defs/{name}"} for name in schema.get("$defs", ())]
-    found = []
+    result = []
     for option in options:
         target, at = _resolve(option, resolver)
         summary = f"{_kind(target, at)}  {target.get('description', '')}".rstrip()
-        found.append(SchemaSection(option["$ref"].rpartition("/")[2], tuple(_rows(target, at)), summary))
-    return found or [SchemaSection(None, (), _kind(schema, resolver))]
+        result.append(SchemaSection(option["$ref"].rpartition("/")[2], tuple(_rows(target, at)), summary))
+    return result or [SchemaSection(None, (), _kind(schema, resolver))]
 
 
 def _schema_text(schema: Schema) -> str:
@@ -253,8 +255,8 @@ def _resolve(entry: Schema, resolver: Resolver[Any]) -> tuple[Schema, Resolver[A
     """Follow a reference; return its target and the resolver for that."""
     if "$ref" not in entry:
         return entry, resolver
-    found = resolver.lookup(entry["$ref"])
-    return found.contents, found.resolver
+    resolved = resolver.lookup(entry["$ref"])
+    return resolved.contents, resolved.resolver
 
 
 def _word(value: object) -> str:

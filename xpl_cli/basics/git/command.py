@@ -68,7 +68,7 @@ class Git:
         """Return the output of a command; undecodable bytes become surrogates."""
         return self.answer(command, *arguments).decode(errors="surrogateescape")
 
-    def answer(self, command: str, *arguments: str, asked: bytes = b"") -> bytes:
+    def answer(self, command: str, *arguments: str, input_bytes: bytes = b"") -> bytes:
         """Return the output of a command for an input on its standard input.
 
         Raises:
@@ -79,12 +79,12 @@ class Git:
             raise ValueError(f"git {command} is not among the commands that only read")
         overruled = (word for name, value in _OVERRULED.items() for word in ("-c", f"{name}={value}"))
         line = ["git", "--no-pager", "--literal-pathspecs", *overruled, command, *arguments]
-        with tempfile.TemporaryFile() as given, tempfile.TemporaryFile() as said:
-            given.write(asked)
-            given.seek(0)
+        with tempfile.TemporaryFile() as stdin, tempfile.TemporaryFile() as stderr:
+            stdin.write(input_bytes)
+            stdin.seek(0)
             try:
                 process = subprocess.Popen(
-                    line, cwd=self.root, env=self._environment(), stdin=given, stdout=subprocess.PIPE, stderr=said
+                    line, cwd=self.root, env=self._environment(), stdin=stdin, stdout=subprocess.PIPE, stderr=stderr
                 )
             except FileNotFoundError:
                 raise UserError("what changed needs git, which is not on PATH") from None
@@ -92,9 +92,9 @@ class Git:
                 raise UserError("an argument of git holds a NUL, which no name in git has") from None
             answer = self._read(process, command)
             if process.returncode:
-                said.seek(0)
-                told = said.read(_MOST_SAID).decode(errors="replace").strip()
-                raise UserError(told or f"git ended with {process.returncode}")
+                stderr.seek(0)
+                message = stderr.read(_MOST_SAID).decode(errors="replace").strip()
+                raise UserError(message or f"git ended with {process.returncode}")
         return answer
 
     def _read(self, process: subprocess.Popen[bytes], command: str) -> bytes:
@@ -129,5 +129,5 @@ class Git:
 
     def _environment(self) -> dict[str, str]:
         """Return the environment variables, without the caller's git variables."""
-        kept = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
-        return kept | _ENVIRONMENT | {"GIT_DIR": str(self.directory), "GIT_WORK_TREE": str(self.root)}
+        inherited = {name: value for name, value in os.environ.items() if not name.startswith("GIT_")}
+        return inherited | _ENVIRONMENT | {"GIT_DIR": str(self.directory), "GIT_WORK_TREE": str(self.root)}

@@ -75,10 +75,10 @@ def _directory(mark: Path) -> Path | None:
         if not mark.is_file():
             return None
         with mark.open("rb") as stream:
-            told = stream.read(_LONGEST)
-        if not told.startswith(_POINTER):
+            content = stream.read(_LONGEST)
+        if not content.startswith(_POINTER):
             return None
-        directory = mark.parent / os.fsdecode(told.removeprefix(_POINTER).strip())
+        directory = mark.parent / os.fsdecode(content.removeprefix(_POINTER).strip())
         return directory.resolve() if (directory / "HEAD").exists() else None
     except (OSError, ValueError, RuntimeError):
         return None

@@ -154,8 +154,8 @@ class Repository:
             UserError: if a blob is missing from the repository.
         """
         inside = [] if name == "." else [f"{name}/"]
-        told = self.git.text("ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)
-        for entry in told.split("\0"):
+        listing = self.git.text("ls-tree", "-r", "-l", "-z", "--full-tree", commit, *inside)
+        for entry in listing.split("\0"):
             head, _, path = entry.partition("\t")
             if path and head.split()[0] in _FILE_MODES:
                 _, _, blob, size = head.split()
@@ -164,28 +164,28 @@ class Repository:
                 yield blob, path, int(size)
 
     def _contents(self, blobs: list[str]) -> Iterator[bytes]:
-        answer = self.git.answer("cat-file", "--batch", asked=_lines(blobs))
-        place = 0
+        answer = self.git.answer("cat-file", "--batch", input_bytes=_lines(blobs))
+        offset = 0
         for blob in blobs:
-            begin = answer.index(b"\n", place) + 1
-            _, *kind = answer[place:begin].split()
+            begin = answer.index(b"\n", offset) + 1
+            _, *kind = answer[offset:begin].split()
             if kind[:1] != [b"blob"]:  # missing
                 raise _lacking(f"object {blob}")
             size = int(kind[1])
             yield answer[begin : begin + size]
-            place = begin + size + 1
+            offset = begin + size + 1
 
     def _recorded(self, commit: str, limits: list[str]) -> dict[str, _Entry]:
         """Return what a commit holds, by name."""
-        told = self.git.text("ls-tree", "-r", "-z", "--full-tree", commit, *(f"{name}/" for name in limits))
-        heads = (entry.partition("\t") for entry in told.split("\0") if entry)
+        listing = self.git.text("ls-tree", "-r", "-z", "--full-tree", commit, *(f"{name}/" for name in limits))
+        heads = (entry.partition("\t") for entry in listing.split("\0") if entry)
         return {name: _Entry(head.split()[0], head.split()[2]) for head, _, name in heads}
 
     def _added(self, limits: list[str]) -> tuple[dict[str, _Entry], set[str]]:
         """Return what the next commit would hold, by name, and which of it a sparse checkout leaves out."""
-        told = self.git.text("ls-files", "-z", "-t", "--stage", "--full-name", "--", *limits)
+        listing = self.git.text("ls-files", "-z", "-t", "--stage", "--full-name", "--", *limits)
         found, left_out = {}, set()
-        for entry in told.split("\0"):
+        for entry in listing.split("\0"):
             head, _, name = entry.partition("\t")
             if name:
                 tag, mode, blob, _ = head.split()
@@ -195,8 +195,8 @@ class Repository:
 
     def _others(self, limits: list[str]) -> set[str]:
         """Return the files that nobody added and nothing ignores."""
-        told = self.git.text("ls-files", "-z", "--others", "--exclude-standard", "--full-name", "--", *limits)
-        return {name for name in told.split("\0") if name}
+        listing = self.git.text("ls-files", "-z", "--others", "--exclude-standard", "--full-name", "--", *limits)
+        return {name for name in listing.split("\0") if name}
 
     def _is_same(self, name: str, before: _Entry, added: _Entry | None, *, with_modes: bool) -> bool:
         if _MODULE in {before.mode, added.mode if added else ""}:
@@ -212,7 +212,7 @@ class Repository:
         asked = {name: before[name].blob for name in names if name in before and before[name].mode in _FILE_MODES}
         try:
             told = self.git.answer(
-                "cat-file", "--batch-check=%(objecttype) %(objectsize)", asked=_lines(asked.values())
+                "cat-file", "--batch-check=%(objecttype) %(objectsize)", input_bytes=_lines(asked.values())
             )
             sizes = [line.split() for line in told.decode(errors="replace").splitlines()]
             small = {

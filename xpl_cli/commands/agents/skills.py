@@ -22,8 +22,8 @@ def list_(as_json: bool = JSON) -> None:
     from xpl_cli.agents.skills.bundle import bundles
     from xpl_cli.basics import console
 
-    found = bundles()
-    following = ["xpl skills install", *(f"xpl skills get {bundle.name}" for bundle in found[:1])]
+    skills = bundles()
+    following = ["xpl skills install", *(f"xpl skills get {bundle.name}" for bundle in skills[:1])]
     if as_json:
         entries = [
             {
@@ -32,11 +32,11 @@ def list_(as_json: bool = JSON) -> None:
                 "references": [path.name for path in bundle.references],
                 "lines": len(bundle.body.splitlines()),
             }
-            for bundle in found
+            for bundle in skills
         ]
         console.data_json({"schema": "xpl.skills-list/1", "version": __version__, "skills": entries, "next": following})
         return
-    for bundle in found:
+    for bundle in skills:
         console.data(f"{bundle.name}\n  {bundle.description}")
 
 
@@ -54,8 +54,13 @@ def get(
     (bundle,) = select_bundles([name])
     following = [] if full or not bundle.references else [f"xpl skills get {name} --full"]
     if as_json:
-        told = {"schema": "xpl.skills-get/1", "version": __version__, "name": name, "description": bundle.description}
-        console.data_json({**told, "full": full, "text": bundle.text(full=full), "next": following})
+        document = {
+            "schema": "xpl.skills-get/1",
+            "version": __version__,
+            "name": name,
+            "description": bundle.description,
+        }
+        console.data_json({**document, "full": full, "text": bundle.text(full=full), "next": following})
         return
     console.data(bundle.text(full=full))
     for command in following:
@@ -64,10 +69,10 @@ def get(
 
 @app.command()
 @exit_codes(
-    clean="all is in its place",
+    clean="all skills are installed",
     findings="a changed file was not overwritten",
     not_found="no such skill or folder",
-    not_run="a place cannot be written to",
+    not_run="a folder cannot be written",
 )
 def install(
     names: list[str] = _NAMES,
@@ -88,19 +93,19 @@ def install(
     from xpl_cli.basics import console
     from xpl_cli.basics.errors import ExitCode, UserError, one_of
 
-    known = [agent.name for agent in locations.AGENTS]
+    agent_names = [agent.name for agent in locations.AGENTS]
     for agent in agents:
-        one_of("--agent", agent, known)
+        one_of("--agent", agent, agent_names)
     if user and project:
         raise UserError("--user and --dir exclude each other")
     if project and not project.is_dir():
         raise UserError(f"{project} is no folder", code=ExitCode.NOT_FOUND)
     scope: locations.Scope = "user" if user else "project"
     base = locations.base(scope, project)
-    wanted = select_bundles(names)
+    selected = select_bundles(names)
     try:
         done = Installation(base, scope, copy=copy, overwrite=overwrite, dry_run=dry_run).install(
-            wanted, agents or known
+            selected, agents or agent_names
         )
         if not user and not bare:
             done += instructions.put(base, dry_run=dry_run)
@@ -109,8 +114,8 @@ def install(
     following = [f"xpl skills check{f' --dir {_quoted(project)}' if project else ''}"]
     if as_json:
         items = [{"path": str(item.path), "state": item.state, "why": item.why} for item in done]
-        told = {"schema": "xpl.skills-install/1", "version": __version__, "scope": scope, "base": str(base)}
-        console.data_json({**told, "dry_run": dry_run, "items": items, "next": following})
+        document = {"schema": "xpl.skills-install/1", "version": __version__, "scope": scope, "base": str(base)}
+        console.data_json({**document, "dry_run": dry_run, "items": items, "next": following})
     else:
         for item in done:
             console.data(f"{item.state:<9}  {_short(item.path, base)}{f'  ({item.why})' if item.why else ''}")
@@ -137,14 +142,14 @@ def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
     looked = SkillCheck(base, Path.home())
     if not looked.installed():
         raise NotFoundError(f"no skill of xpl is installed in {base} or for the user", hint="run `xpl skills install`")
-    found, listings = looked.findings(), looked.listings()
-    following = list(dict.fromkeys(finding.fix for finding in found if finding.fix.startswith("xpl ")))
+    findings, listings = looked.findings(), looked.listings()
+    following = list(dict.fromkeys(finding.fix for finding in findings if finding.fix.startswith("xpl ")))
     if as_json:
-        findings = [{**asdict(finding), "path": str(finding.path)} for finding in found]
-        told = {"schema": "xpl.skills-check/1", "version": __version__, "findings": findings}
-        console.data_json({**told, "listings": [asdict(listing) for listing in listings], "next": following})
+        finding_documents = [{**asdict(finding), "path": str(finding.path)} for finding in findings]
+        document = {"schema": "xpl.skills-check/1", "version": __version__, "findings": finding_documents}
+        console.data_json({**document, "listings": [asdict(listing) for listing in listings], "next": following})
     else:
-        for finding in found:
+        for finding in findings:
             mark = "FAIL" if finding.fails else "note"
             console.data(f"{mark}  {finding.kind:<12}  {_short(finding.path, base)}: {finding.message}; {finding.fix}")
         for listing in listings:
@@ -152,7 +157,7 @@ def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
             console.data(
                 f"{listing.agent:<6}  {listing.skills} skills, list of {listing.characters}{budget} characters"
             )
-    if any(finding.fails for finding in found):
+    if any(finding.fails for finding in findings):
         raise typer.Exit(ExitCode.FINDINGS)
 
 

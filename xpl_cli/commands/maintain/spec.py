@@ -58,9 +58,9 @@ def validate(
 
     problems = list(_file_problems(files, schema) if files else check_all())
     if as_json:
-        told = {"problems": [problem_json(problem) for problem in problems]}
+        answer = {"problems": [problem_json(problem) for problem in problems]}
         keys = dict.fromkeys(f"xpl spec show {_schema_of(file, schema)}" for file in files or ())
-        console.answer("xpl.spec-validate/1", told, list(keys) if problems else [])
+        console.answer("xpl.spec-validate/1", answer, list(keys) if problems else [])
     elif problems:
         console.data("\n".join(map(str, problems)))
     else:
@@ -132,8 +132,8 @@ def schemas(
     for folder in folders or ():
         written += [str(folder / file) for file in write(folder)]
     if as_json:
-        told = {"written": written, "document": None if document is None else json_text.parse(document)}
-        console.answer("xpl.spec-schemas/1", told)
+        answer = {"written": written, "document": None if document is None else json_text.parse(document)}
+        console.answer("xpl.spec-schemas/1", answer)
     elif document is not None:
         console.data(document.decode())
     elif written:
@@ -174,11 +174,11 @@ def _file_problems(files: list[Path], schema: str | None) -> Iterator[Problem]:
             yield from trajectory_schema.schema_problems(file)
             continue
         if chosen == "embodiment":  # which may be like another one: what counts is the whole
-            from xpl import robots as known
+            from xpl import robots as sdk_robots
             from xpl_cli.packages.manifests import content_of
             from xpl_cli.standard import robots
 
-            yield from robots.read(content_of(file) or b"", str(file), known.entries())[1]
+            yield from robots.read(content_of(file) or b"", str(file), sdk_robots.entries())[1]
             continue
         try:
             yield from validate_yaml_file(file, chosen)
@@ -194,13 +194,13 @@ def _schema_of(file: Path, schema: str | None) -> str:
     """
     from xpl_cli.standard import spec
 
-    known = spec.schema_names()
+    names = spec.schema_names()
     if schema is not None:
-        if schema not in known:
-            raise no_such(f"there is no schema {schema!r}", schema, known)
+        if schema not in names:
+            raise no_such(f"there is no schema {schema!r}", schema, names)
         return schema
-    told = "embodiment" if file.parent.name == "embodiments" else file.stem
-    told = _TRAJECTORY if file.suffix in (".hdf5", ".h5") else told
-    if told not in known:
-        raise UserError(f"{file}: its name does not tell its schema", hint=f"--schema {'|'.join(known)}")
-    return told
+    implied = "embodiment" if file.parent.name == "embodiments" else file.stem
+    implied = _TRAJECTORY if file.suffix in (".hdf5", ".h5") else implied
+    if implied not in names:
+        raise UserError(f"{file}: its name does not determine its schema", hint=f"--schema {'|'.join(names)}")
+    return implied

@@ -54,11 +54,11 @@ def leaderboard(
         return
     if tables:
         raise UserError("--tables is for results of RoboDojo: name a folder with its _result.json files")
-    found = reading.runs(runs, skip=skip_bad_lines)
-    result = ranking.rank(comparable_runs.gather(found, common=common, anyway=anyway), by)
+    recorded_runs = reading.runs(runs, skip=skip_bad_lines)
+    result = ranking.rank(comparable_runs.gather(recorded_runs, common=common, anyway=anyway), by)
     for name, folder in (("robodojo", robodojo), ("robotwin", robotwin)):
         if folder is not None:
-            console.note(f"{folder}: {export.write(name, found, folder)} files written")
+            console.note(f"{folder}: {export.write(name, recorded_runs, folder)} files written")
     if out is not None:
         leaderboard_files.write(result, out)
         console.note(f"{out}: written")
@@ -80,11 +80,11 @@ def _of_the_field(
     from xpl_cli.evaluation.leaderboard import leaderboard_files, policy_scores, result_trees, tables
 
     results, notes = result_trees.read(folders, skip=skip)
-    told = tables.rank(policy_scores.score_policies(results, partial=partial), results[0].benchmark, by, notes)
-    shown = tables.of_the_paper(told) if with_tables else [tables.ranking(told)]
+    ranked = tables.rank(policy_scores.score_policies(results, partial=partial), results[0].benchmark, by, notes)
+    result_tables = tables.of_the_paper(ranked) if with_tables else [tables.ranking(ranked)]
     if out is not None:
-        texts = {".md": tables.as_markdown(told, shown), ".csv": tables.as_csv(told)}
-        texts[".json"] = json.dumps(told.as_json(), indent=2, ensure_ascii=False) + "\n"
+        texts = {".md": tables.as_markdown(ranked, result_tables), ".csv": tables.as_csv(ranked)}
+        texts[".json"] = json.dumps(ranked.as_json(), indent=2, ensure_ascii=False) + "\n"
         try:
             out.mkdir(parents=True, exist_ok=True)
             for ending, text in texts.items():
@@ -93,6 +93,6 @@ def _of_the_field(
             raise UserError(f"{out} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
         console.note(f"{out}: written")
     if as_json:
-        console.data_json({**told.as_json(), "next": []})
+        console.data_json({**ranked.as_json(), "next": []})
     else:
-        console.data(tables.text(told, shown))
+        console.data(tables.text(ranked, result_tables))

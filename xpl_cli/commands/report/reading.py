@@ -27,8 +27,8 @@ def runs(paths: Sequence[Path], *, skip: bool) -> list[Run]:
     from xpl_cli.basics import console
     from xpl_cli.evaluation.records import records
 
-    found = [records.read(path, skip=skip) for path in paths]
-    for run in found:
+    recorded_runs = [records.read(path, skip=skip) for path in paths]
+    for run in recorded_runs:
         for line in run.skipped:
             console.note(f"left out: {line}")
-    return found
+    return recorded_runs

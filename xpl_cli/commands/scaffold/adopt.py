@@ -41,8 +41,8 @@ def adopt(
     from xpl_cli.commands.scaffold.from_checkpoint import choices
     from xpl_cli.packages import package
 
-    said = choices(gripper, camera, statistics, given=bool(sources))
-    trained = CheckpointSource(sources, said) if sources else None
+    choices_given = choices(gripper, camera, statistics, given=bool(sources))
+    trained = CheckpointSource(sources, choices_given) if sources else None
     chosen = adoption(path, package.parse_overrides(settings), merge=merge, scripts=scripts, trained=trained)
     if not dry_run:
         chosen.write()
@@ -78,11 +78,11 @@ def adopt(
 def _tell(path: Path, chosen: Adoption, summary: dict[str, Any]) -> None:
     from xpl_cli.basics import console
 
-    found = chosen.findings
-    counted = {**found.counts, "unknown": len(found.unknown)}
+    findings = chosen.findings
+    counted = {**findings.counts, "unknown": len(findings.unknown)}
     counts = ", ".join(f"{count} {name}" for name, count in counted.items())
     console.data(f"{path}: {chosen.state} ({', '.join(chosen.files) or 'nothing to write'}): {counts}")
-    for key, leaf in found.unknown.items():
+    for key, leaf in findings.unknown.items():
         console.data(f"  unknown  {key}: {leaf.text}")
     console.data(f"static audit: {summary['statement']}, {summary['counts']}")
     for line in summary["findings"]:
@@ -119,7 +119,7 @@ def _next(path: Path, *, written: bool) -> list[str]:
     """Return the commands that follow, ready to be pasted."""
     import shlex
 
-    shown = shlex.quote(str(path))
+    path_text = shlex.quote(str(path))
     if not written:
-        return [f"xpl adopt {shown}"]
-    return [f"xpl audit {shown}"]
+        return [f"xpl adopt {path_text}"]
+    return [f"xpl audit {path_text}"]

@@ -96,8 +96,8 @@ def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None,
     from xpl_cli.basics.errors import UserError
 
     if not given and (gripper or cameras or statistics):
-        told = "--gripper, --camera and --statistics say what a checkpoint leaves open"
-        raise UserError(told, hint="give its folder with --from")
+        message = "--gripper, --camera and --statistics say what a checkpoint leaves open"
+        raise UserError(message, hint="give its folder with --from")
     return UserChoices(_gripper(gripper), _cameras(cameras), statistics)
 
 

@@ -111,8 +111,8 @@ def local_path(specification: CheckpointSpec) -> Path | None:
 
 def linked_checkpoint(specification: CheckpointSpec) -> Path | None:
     """Return the target of a checkpoint's link in its adapter; None if it was not fetched."""
-    place = link_path(specification.base, specification.name)
-    return place.resolve() if place.exists() else None
+    link = link_path(specification.base, specification.name)
+    return link.resolve() if link.exists() else None
 
 
 def hash_local(specification: CheckpointSpec, path: Path) -> tuple[str, tuple[CheckpointFile, ...]]:
@@ -126,11 +126,13 @@ def hash_local(specification: CheckpointSpec, path: Path) -> tuple[str, tuple[Ch
         UserError: if it contains an invalid name.
     """
     if not specification.files:
-        digest, found = hash_checkpoint(path)
-        return digest, tuple(found)
-    places = {file.path: path / file.path for file in specification.files}
-    there = {name: place for name, place in places.items() if place.is_file()}
-    files = tuple(CheckpointFile(name, sha256_of(place), place.stat().st_size) for name, place in there.items())
+        digest, all_files = hash_checkpoint(path)
+        return digest, tuple(all_files)
+    paths = {file.path: path / file.path for file in specification.files}
+    existing = {name: file_path for name, file_path in paths.items() if file_path.is_file()}
+    files = tuple(
+        CheckpointFile(name, sha256_of(file_path), file_path.stat().st_size) for name, file_path in existing.items()
+    )
     return digest_of(files), files
 
 
@@ -139,21 +141,21 @@ def differences(
 ) -> list[CheckpointDifference]:
     """Return the differences between a local checkpoint and policy.yml; none if it is complete."""
     there = {file.path: file for file in files}
-    found = []
+    result = []
     for file in specification.files:
         got = there.get(file.path)
         if got is None:
-            found.append(CheckpointDifference(file.path, "missing", file.sha256, None))
+            result.append(CheckpointDifference(file.path, "missing", file.sha256, None))
         elif file.size not in (None, got.size):
-            found.append(CheckpointDifference(file.path, "size", file.size, got.size))
+            result.append(CheckpointDifference(file.path, "size", file.size, got.size))
         elif file.sha256 not in (None, got.sha256):
-            found.append(CheckpointDifference(file.path, "sha256", file.sha256, got.sha256))
+            result.append(CheckpointDifference(file.path, "sha256", file.sha256, got.sha256))
     size = sum(file.size or 0 for file in files)
-    if not found and specification.size not in (None, size):
-        found.append(CheckpointDifference("", "size", specification.size, size))
-    if not found and specification.digest not in (None, digest):
-        found.append(CheckpointDifference("", "sha256", specification.digest, digest))
-    return found
+    if not result and specification.size not in (None, size):
+        result.append(CheckpointDifference("", "size", specification.size, size))
+    if not result and specification.digest not in (None, digest):
+        result.append(CheckpointDifference("", "sha256", specification.digest, digest))
+    return result
 
 
 def link_path(policy_dir: Path, name: str) -> Path:
@@ -167,23 +169,23 @@ def link(policy_dir: Path, name: str, target: Path) -> Path:
     Raises:
         UserError: if the path exists and is no link, or cannot be written.
     """
-    place = link_path(policy_dir, name)
+    path = link_path(policy_dir, name)
     target = target.absolute()
-    if place.absolute() == target:
-        return place
-    if place.exists() and not place.is_symlink():
-        raise UserError(f"{place} exists and is no link: it is kept, and ckpt_name {name!r} refers to it")
-    if place.is_symlink() and place.readlink() == target:
-        return place
+    if path.absolute() == target:
+        return path
+    if path.exists() and not path.is_symlink():
+        raise UserError(f"{path} exists and is no link: it is kept, and ckpt_name {name!r} refers to it")
+    if path.is_symlink() and path.readlink() == target:
+        return path
     try:
-        place.parent.mkdir(exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=place.parent, prefix=".") as scratch:
+        path.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as scratch:
             fresh = Path(scratch) / name
             fresh.symlink_to(target)
-            fresh.replace(place)
+            fresh.replace(path)
     except OSError as error:
-        raise UserError(f"{place} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
-    return place
+        raise UserError(f"{path} cannot be written: {error.strerror}", code=ExitCode.NOT_RUN) from None
+    return path
 
 
 def _download(specification: CheckpointSpec, *, force: bool) -> Path:

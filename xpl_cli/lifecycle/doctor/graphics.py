@@ -31,12 +31,12 @@ def egl() -> str:
     library.eglQueryString.argtypes = [ctypes.c_void_p, ctypes.c_int]
     library.eglInitialize.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
     opened = [display for display in _displays(library) if display and library.eglInitialize(display, None, None)]
-    told = [
+    descriptions = [
         " ".join(_text(library.eglQueryString(one, name)) for name in (_EGL_VENDOR, _EGL_VERSION)) for one in opened
     ]
-    if not told:
+    if not descriptions:
         raise RuntimeError("the library is there, but opens no display")
-    return ", ".join(sorted(set(told)))
+    return ", ".join(sorted(set(descriptions)))
 
 
 def _displays(library: ctypes.CDLL) -> list[int | None]:
@@ -46,14 +46,14 @@ def _displays(library: ctypes.CDLL) -> list[int | None]:
         return []
     kind = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_uint, ctypes.c_void_p, ctypes.c_void_p)
     display_of = kind(address)
-    found: list[int | None] = []
+    displays: list[int | None] = []
     query = library.eglGetProcAddress(b"eglQueryDevicesEXT")
     if query:
         devices, count = (ctypes.c_void_p * _DEVICES)(), ctypes.c_int()
         ask = ctypes.CFUNCTYPE(ctypes.c_uint, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)(query)
         if ask(_DEVICES, devices, ctypes.byref(count)):
-            found += [display_of(_PLATFORM_DEVICE, device, None) for device in devices[: count.value]]
-    return [*found, display_of(_PLATFORM_SURFACELESS, None, None)]
+            displays += [display_of(_PLATFORM_DEVICE, device, None) for device in devices[: count.value]]
+    return [*displays, display_of(_PLATFORM_SURFACELESS, None, None)]
 
 
 def osmesa() -> str:

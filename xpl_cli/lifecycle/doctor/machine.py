@@ -30,11 +30,11 @@ def tool() -> MachineCheck:
     """Check that this tool's requirements are installed, without importing them."""
     serves = "everything"
     try:
-        wanted = metadata.requires("xpl-cli") or []
+        requirements = metadata.requires("xpl-cli") or []
     except metadata.PackageNotFoundError:
         return MachineCheck("xpl", Status.OK, "run from a folder, not installed", serves)
     missing = {}
-    for text in (line for line in wanted if "extra ==" not in line):
+    for text in (line for line in requirements if "extra ==" not in line):
         name = text.partition(";")[0].partition("=")[0].rstrip("<>~! ")
         with contextlib.suppress(metadata.PackageNotFoundError):
             metadata.version(name)
@@ -70,8 +70,8 @@ def cores() -> MachineCheck:
     """Count the processors that this process may use."""
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     quota = _quota()
-    shown = f"{count}" if quota is None or quota >= count else f"{count}, of which {quota:g} may be used at once"
-    return MachineCheck("cores", Status.OK, shown, "simulation and cameras")
+    result = f"{count}" if quota is None or quota >= count else f"{count}, of which {quota:g} may be used at once"
+    return MachineCheck("cores", Status.OK, result, "simulation and cameras")
 
 
 def disk() -> MachineCheck:
@@ -79,8 +79,8 @@ def disk() -> MachineCheck:
     serves = "checkpoints and environments"
     folders = {"cache": user_cache.folder(), "temporary files": Path(tempfile.gettempdir()), "here": Path.cwd()}
     results, fix = [], None
-    for name, wanted in folders.items():
-        folder = next(one for one in (wanted, *wanted.parents) if one.is_dir())
+    for name, path in folders.items():
+        folder = next(one for one in (path, *path.parents) if one.is_dir())
         free = shutil.disk_usage(folder).free
         results.append(f"{name} {format_size(free)} free")
         with contextlib.suppress(OSError):
@@ -109,8 +109,8 @@ def shared_memory() -> MachineCheck:
         return MachineCheck("shared memory", Status.BROKEN, f"{_SHARED}: {error.strerror}", serves, fix)
     free = shutil.disk_usage(_SHARED).free
     small = free < _SHARED_ENOUGH
-    found = f"{format_size(free)} free in {_SHARED}"
-    return MachineCheck("shared memory", Status.BROKEN if small else Status.OK, found, serves, fix if small else None)
+    result = f"{format_size(free)} free in {_SHARED}"
+    return MachineCheck("shared memory", Status.BROKEN if small else Status.OK, result, serves, fix if small else None)
 
 
 def ports() -> MachineCheck:

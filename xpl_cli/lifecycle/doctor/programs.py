@@ -55,15 +55,15 @@ def interpreters() -> MachineCheck:
     """Find the versions of Python that can create environments for policies."""
     paths = [path for name in pythons.names() if (path := shutil.which(name))]
     with ThreadPoolExecutor(max_workers=max(len(paths), 1)) as pool:
-        found = [version for version in pool.map(pythons.version_of, paths) if version]
+        versions = [version for version in pool.map(pythons.version_of, paths) if version]
     own = sys.version_info
-    text = ", ".join(found) or "none but the tool's own"
+    text = ", ".join(versions) or "none but the tool's own"
     return MachineCheck(
         "python",
-        Status.OK if found else Status.ABSENT,
+        Status.OK if versions else Status.ABSENT,
         f"{text}; this tool runs in {own.major}.{own.minor}.{own.micro}",
         "environments of policies that need another version",
-        None if found else "install python3.X with its venv module, or uv, which brings interpreters itself",
+        None if versions else "install python3.X with its venv module, or uv, which brings interpreters itself",
     )
 
 

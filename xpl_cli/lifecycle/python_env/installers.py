@@ -70,9 +70,9 @@ def environment() -> dict[str, str]:
     """
     pip, uv = (f"PIP_{name}" for name in (*_PIP, *_PIP_MODES)), (f"UV_{name}" for name in (*_UV, *_UV_MODES))
     unwanted = {*_ELSEWHERE, *pip, *uv}
-    kept = {name: value for name, value in os.environ.items() if name not in unwanted}
+    inherited = {name: value for name, value in os.environ.items() if name not in unwanted}
     chosen = {"PYTHONNOUSERSITE": "1", "PIP_DISABLE_PIP_VERSION_CHECK": "1", "UV_COMPILE_BYTECODE": "1"}
-    return {**kept, **chosen}
+    return {**inherited, **chosen}
 
 
 def _uv(uv: str, plan: EnvironmentPlan, folder: Path) -> str:
@@ -131,12 +131,12 @@ def _warn_if_inconsistent(plan: EnvironmentPlan, command: Sequence[str]) -> None
 def _inspect(plan: EnvironmentPlan, python: Path) -> dict[str, Any]:
     """Return what an environment has, and raise if it cannot run a worker."""
     listing = _output(plan, [str(python), "-I", "-c", LISTING], "its interpreter does not run")
-    found: dict[str, Any] = json_text.parse(listing)
-    if tuple(map(int, found["python"].split(".")[:2])) < OLDEST_PYTHON:
-        raise UserError(f"{plan.package} needs Python 3.9 or newer, got {found['python']}", code=ExitCode.NOT_RUN)
-    if plan.python is not None and not pythons.specifier(plan.python).contains(found["python"], prereleases=True):
+    packages: dict[str, Any] = json_text.parse(listing)
+    if tuple(map(int, packages["python"].split(".")[:2])) < OLDEST_PYTHON:
+        raise UserError(f"{plan.package} needs Python 3.9 or newer, got {packages['python']}", code=ExitCode.NOT_RUN)
+    if plan.python is not None and not pythons.specifier(plan.python).contains(packages["python"], prereleases=True):
         raise UserError(
-            f"{plan.package} declares Python {plan.python}, but its lock brings {found['python']}",
+            f"{plan.package} declares Python {plan.python}, but its lock brings {packages['python']}",
             code=ExitCode.NOT_RUN,
         )
     _output(
@@ -145,7 +145,7 @@ def _inspect(plan: EnvironmentPlan, python: Path) -> dict[str, Any]:
         "it has no numpy that can be imported, which serving needs",
         hint="add numpy to the lock or the requirements",
     )
-    return found
+    return packages
 
 
 def _output(plan: EnvironmentPlan, command: list[str], complaint: str, hint: str | None = None) -> str:
@@ -177,9 +177,9 @@ def _run(plan: EnvironmentPlan, command: Sequence[str], **variables: str) -> Non
         stdout=sys.stderr,
     )
     if done.returncode:
-        shown = " ".join([Path(command[0]).name, *command[1:4]])
+        command_text = " ".join([Path(command[0]).name, *command[1:4]])
         raise UserError(
-            f"the environment of {plan.package} cannot be created: {shown} ... ended with {done.returncode}",
+            f"the environment of {plan.package} cannot be created: {command_text} ... ended with {done.returncode}",
             hint="its output is above; the former environment is unchanged",
             code=ExitCode.NOT_RUN,
         )

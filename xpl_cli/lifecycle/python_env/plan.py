@@ -156,9 +156,9 @@ def _kind(lock: str, manager: str, where: str) -> Kind:
 
 def _check_outside_of_the_tool(link: Path, where: str) -> None:
     """Raise if an environment would replace the tool's own, or lie in it."""
-    place = link.parent.resolve() / link.name
+    path = link.parent.resolve() / link.name
     own = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve()]
-    if any(place == one or place.is_relative_to(one) or one.is_relative_to(place) for one in own):
+    if any(path == one or path.is_relative_to(one) or one.is_relative_to(path) for one in own):
         raise UserError(f"{where}: {link} is where xpl itself is installed", hint="choose another `name`")
 
 

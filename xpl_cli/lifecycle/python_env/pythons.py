@@ -22,34 +22,34 @@ _PROBE = "import platform, venv, ensurepip; print(platform.python_version())"
 _PROBE_S = 10.0
 
 
-def find(wanted: str | None) -> str:
+def find(requested: str | None) -> str:
     """Return an interpreter that can create environments.
 
     Args:
-        wanted: a version such as `3.10`, or a range such as `>=3.10,<3.12`; None for the tool's own interpreter.
+        requested: a version such as `3.10`, or a range such as `>=3.10,<3.12`; None for the tool's own interpreter.
 
     Raises:
         UserError: if PATH has none.
     """
-    if wanted is None:
+    if requested is None:
         return sys.executable
-    versions = specifier(wanted)
+    versions = specifier(requested)
     tried = []
-    for candidate in _candidates(wanted):
+    for candidate in _candidates(requested):
         version = version_of(candidate)
         if version and versions.contains(version, prereleases=True):
             return candidate
         if version:
             tried.append(version)
-    found = f"; PATH has {', '.join(sorted(set(tried)))}" if tried else ""
+    available = f"; PATH has {', '.join(sorted(set(tried)))}" if tried else ""
     raise UserError(
-        f"there is no Python {wanted} that can create environments{found}",
+        f"there is no Python {requested} that can create environments{available}",
         hint="install it (on Debian with python3-venv), or install uv, which brings interpreters of any version",
         code=ExitCode.NOT_RUN,
     )
 
 
-def specifier(wanted: str) -> SpecifierSet:
+def specifier(requested: str) -> SpecifierSet:
     """Parse a version or a range of versions; `3.10` means every 3.10.
 
     Raises:
@@ -57,14 +57,14 @@ def specifier(wanted: str) -> SpecifierSet:
     """
     from packaging.specifiers import InvalidSpecifier, SpecifierSet
 
-    text = wanted.strip()
+    text = requested.strip()
     if _BARE.fullmatch(text):
         text = f"=={text}" if text.count(".") == 2 else f"=={text}.*"
     try:
         return SpecifierSet(text)
     except InvalidSpecifier:
         raise UserError(
-            f"expected a version of Python such as 3.10, or a range such as >=3.10,<3.12, got {wanted!r}"
+            f"expected a version of Python such as 3.10, or a range such as >=3.10,<3.12, got {requested!r}"
         ) from None
 
 
@@ -84,12 +84,12 @@ def names() -> list[str]:
     return [f"python3.{minor}" for minor in range(_NEWEST, _OLDEST - 1, -1)]
 
 
-def _candidates(wanted: str) -> Iterator[str]:
-    minor = re.search(r"3\.\d+", wanted)
+def _candidates(requested: str) -> Iterator[str]:
+    minor = re.search(r"3\.\d+", requested)
     exact = [f"python{minor[0]}"] if minor else []
-    seen: set[str] = set()
+    yielded: set[str] = set()
     for name in (sys.executable, *exact, *names(), "python3", "python"):
         path = shutil.which(name)
-        if path and (real := os.path.realpath(path)) not in seen:
-            seen.add(real)
+        if path and (real := os.path.realpath(path)) not in yielded:
+            yielded.add(real)
             yield path

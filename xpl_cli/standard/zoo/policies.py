@@ -223,8 +223,8 @@ def fact_names() -> tuple[str, ...]:
 @cache
 def policies() -> tuple[ZooPolicy, ...]:
     """Return every policy, sorted by name without regard to case."""
-    found = sorted((folder() / "policies").glob("*.yml"), key=lambda path: (path.stem.lower(), path.stem))
-    return tuple(_policy(path.stem) for path in found)
+    paths = sorted((folder() / "policies").glob("*.yml"), key=lambda path: (path.stem.lower(), path.stem))
+    return tuple(_policy(path.stem) for path in paths)
 
 
 def names() -> list[str]:
