@@ -15,7 +15,7 @@ from xpl_cli.packages.conventions import DeclaredValue
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "expected"),
     [
         ("train.py:48", ("train.py", 48, 48, "", False)),
         ("authors/env.py:88-90 OPEN_WIDTH", ("authors/env.py", 88, 90, "OPEN_WIDTH", False)),
@@ -25,15 +25,15 @@ from xpl_cli.packages.conventions import DeclaredValue
         ("version 1:2", ("1", 2, 2, "", False)),
     ],
 )
-def test_a_source_is_read_as_a_citation(text: str, wanted: tuple[str | None, int, int, str, bool] | None) -> None:
-    found = Citation.parse(text)
-    if wanted is None:
-        assert found is None
+def test_a_source_is_read_as_a_citation(text: str, expected: tuple[str | None, int, int, str, bool] | None) -> None:
+    citation = Citation.parse(text)
+    if expected is None:
+        assert citation is None
         return
-    assert found is not None
-    path, *rest = wanted
-    assert [found.first, found.last, found.symbol, found.is_foreign] == rest
-    assert path in (None, found.path)
+    assert citation is not None
+    path, *rest = expected
+    assert [citation.first, citation.last, citation.symbol, citation.is_foreign] == rest
+    assert path in (None, citation.path)
 
 
 @pytest.fixture
@@ -56,9 +56,9 @@ def _quoted(package: Path, text: str) -> Quotation | None:
 
 def test_a_repository_s_file_is_found_where_it_is_installed(package: Path) -> None:
     """Without the folders that a repository has above it, and never as the package's own file of that name."""
-    found = _quoted(package, "them/lib@v1:src/lib/utils.py:5")
-    assert found is not None
-    assert (found.text, found.problem) == (("return frame[..., ::-1]  # BGR",), None)
+    quotation = _quoted(package, "them/lib@v1:src/lib/utils.py:5")
+    assert quotation is not None
+    assert (quotation.text, quotation.problem) == (("return frame[..., ::-1]  # BGR",), None)
     assert _quoted(package, "them/lib@v1:utils.py:1") is None
     own = _quoted(package, "utils.py:1")
     assert own is not None
@@ -76,9 +76,9 @@ def test_a_repository_s_file_is_found_where_it_is_installed(package: Path) -> No
     ],
 )
 def test_lines_that_do_not_hold_what_is_said_are_told(package: Path, cited: str, problem: str | None) -> None:
-    found = _quoted(package, f"them/lib@v1:{cited}")
-    assert found is not None
-    assert (found.problem is None) if problem is None else problem in str(found.problem)
+    quotation = _quoted(package, f"them/lib@v1:{cited}")
+    assert quotation is not None
+    assert (quotation.problem is None) if problem is None else problem in str(quotation.problem)
 
 
 def test_links_out_of_a_package_are_not_followed(package: Path, tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_links_out_of_a_package_are_not_followed(package: Path, tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("code", "definition", "word", "told"),
+    ("code", "definition", "word", "contradicted"),
     [
         ("# quaternion, xyzw", "form", "quaternion_wxyz", "the code says xyzw"),
         ("# quaternion, wxyz", "form", "quaternion_wxyz", None),
@@ -106,10 +106,10 @@ def test_links_out_of_a_package_are_not_followed(package: Path, tmp_path: Path) 
     ],
 )
 def test_code_that_says_another_value_is_a_contradiction(
-    code: str, definition: str, word: str, told: str | None
+    code: str, definition: str, word: str, contradicted: str | None
 ) -> None:
-    found = contradiction(Quotation(Path("a.py"), (code,), code, None), [DeclaredValue(definition, word)])
-    assert (found is None) if told is None else told in str(found)
+    quotation = contradiction(Quotation(Path("a.py"), (code,), code, None), [DeclaredValue(definition, word)])
+    assert (quotation is None) if contradicted is None else contradicted in str(quotation)
 
 
 def test_the_command_quotes_each_source_beside_its_convention(tmp_path: Path) -> None:

@@ -27,22 +27,22 @@ def test_spans_are_those_of_a_keys_numbers() -> None:
 
 
 def test_the_largest_difference_of_each_number_counts() -> None:
-    given = [[_step(0.0), _step(0.5, POSE + np.eye(7)[0])], [_step(0.5), _step(0.5, POSE - 0.25 * np.eye(7)[2])]]
-    found = differences(GOLDEN, given, SPREAD)
-    assert {part: value for part, value in found.items() if value} == pytest.approx(
+    answers = [[_step(0.0), _step(0.5, POSE + np.eye(7)[0])], [_step(0.5), _step(0.5, POSE - 0.25 * np.eye(7)[2])]]
+    shares = differences(GOLDEN, answers, SPREAD)
+    assert {part: value for part, value in shares.items() if value} == pytest.approx(
         {"ee_joint_state[0]": 0.5, "ee_pose[2]": 0.25}
     )
 
 
 def test_both_signs_of_a_quaternion_are_one_rotation() -> None:
     turned = POSE * np.array([1, 1, 1, -1, -1, -1, -1])
-    given = [[_step(0.0, turned), GOLDEN[0][1]], GOLDEN[1]]
-    assert max(differences(GOLDEN, given, SPREAD).values()) == 0.0
+    answers = [[_step(0.0, turned), GOLDEN[0][1]], GOLDEN[1]]
+    assert max(differences(GOLDEN, answers, SPREAD).values()) == 0.0
 
 
 def test_what_is_not_known_does_not_count() -> None:
-    known = [[None, GOLDEN[0][1]], [None, GOLDEN[1][1]]]
-    assert max(differences(GOLDEN, known, SPREAD).values()) == 0.0
+    known_steps = [[None, GOLDEN[0][1]], [None, GOLDEN[1][1]]]
+    assert max(differences(GOLDEN, known_steps, SPREAD).values()) == 0.0
     clipped = [[_step(np.nan), GOLDEN[0][1]], GOLDEN[1]]
     assert max(differences(GOLDEN, clipped, SPREAD).values()) == 0.0
     assert min(differences(GOLDEN, [[None, GOLDEN[0][1]], [None, None]], SPREAD).values()) == np.inf
@@ -51,7 +51,7 @@ def test_what_is_not_known_does_not_count() -> None:
 
 
 @pytest.mark.parametrize(
-    "given",
+    "answers",
     [
         [GOLDEN[0]],
         [GOLDEN[0], GOLDEN[1][:1]],
@@ -60,5 +60,5 @@ def test_what_is_not_known_does_not_count() -> None:
         [[_step(0.0) | {"ee_joint_state": np.zeros(2)}] * 2] * 2,
     ],
 )
-def test_what_cannot_be_compared_is_infinitely_far(given: Any) -> None:
-    assert differences(GOLDEN, given, SPREAD)["ee_joint_state[0]"] == np.inf
+def test_what_cannot_be_compared_is_infinitely_far(answers: Any) -> None:
+    assert differences(GOLDEN, answers, SPREAD)["ee_joint_state[0]"] == np.inf

@@ -29,14 +29,14 @@ def _chunks(joints: np.ndarray, grips: np.ndarray = GRIPS) -> list[list[dict[str
 
 
 def _fitted(joints: np.ndarray, grips: np.ndarray = GRIPS) -> TriedChange | None:
-    golden, given = _chunks(GOLDEN), _chunks(joints, grips)
+    golden, answers = _chunks(GOLDEN), _chunks(joints, grips)
     states = [{"arm_joint_state": state, "ee_joint_state": np.zeros(1)} for state in STATES]
     threads = [
         EpisodeAnswers([{"state": state}], [0], [one], [other])
-        for state, one, other in zip(states, golden, given, strict=True)
+        for state, one, other in zip(states, golden, answers, strict=True)
     ]
     spread = spreads(golden)
-    return fit_linear(threads, differences(golden, given, spread), spread, 1e-4)
+    return fit_linear(threads, differences(golden, answers, spread), spread, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -53,18 +53,18 @@ def _fitted(joints: np.ndarray, grips: np.ndarray = GRIPS) -> TriedChange | None
     ],
 )
 def test_a_scale_is_found(change: Callable[[Any], Any], convention: str, words: str) -> None:
-    found = _fitted(change(GOLDEN))
-    assert found is not None
-    assert found.convention == convention
-    assert words in found.words
-    assert found.words.endswith("(and 1 more numbers)")
-    assert max(found.remaining.values()) < 1e-4
+    fit = _fitted(change(GOLDEN))
+    assert fit is not None
+    assert fit.convention == convention
+    assert words in fit.words
+    assert fit.words.endswith("(and 1 more numbers)")
+    assert max(fit.remaining.values()) < 1e-4
 
 
 def test_clipped_openings_do_not_count() -> None:
-    found = _fitted(GOLDEN, GRIPS * 0.5)
-    assert found is not None
-    assert (found.convention, found.words) == ("gripper", "ee_joint_state[0]: golden = 2 * answer")
+    fit = _fitted(GOLDEN, GRIPS * 0.5)
+    assert fit is not None
+    assert (fit.convention, fit.words) == ("gripper", "ee_joint_state[0]: golden = 2 * answer")
 
 
 def test_what_is_no_line_is_not_found() -> None:

@@ -25,13 +25,13 @@ def _seen(joints: np.ndarray, grips: np.ndarray) -> list[tuple[str, str]]:
             for one in zip(rows, hands, strict=True)
         ]
 
-    golden, given = chunks(JOINTS, GRIPS), chunks(joints, grips)
+    golden, answers = chunks(JOINTS, GRIPS), chunks(joints, grips)
     still = {"left_ee_joint_state": np.zeros(1), "right_ee_joint_state": np.zeros(1)}
     threads = [
         EpisodeAnswers([{"state": {"arm_joint_state": state, **still}}], [0], [one], [other])
-        for state, one, other in zip(STATES, golden, given, strict=True)
+        for state, one, other in zip(STATES, golden, answers, strict=True)
     ]
-    before = differences(golden, given, spreads(golden))
+    before = differences(golden, answers, spreads(golden))
     return [(one.convention, one.words) for one in order_patterns(threads, before, 1e-4)]
 
 
@@ -42,9 +42,9 @@ def test_grippers_that_only_switch() -> None:
 
 
 def test_one_command_for_two() -> None:
-    found = _seen(JOINTS, GRIPS[..., [0, 0]])
-    assert found[0][0] == "gripper"
-    assert "are told the same" in found[0][1]
+    seen_patterns = _seen(JOINTS, GRIPS[..., [0, 0]])
+    assert seen_patterns[0][0] == "gripper"
+    assert "are told the same" in seen_patterns[0][1]
 
 
 def test_changes_in_the_place_of_others() -> None:

@@ -59,26 +59,26 @@ def test_what_was_written_is_read(
     size = pairs.write(folder, made)
     data = (folder / names.PAIRS).read_bytes()
     assert len(data) == size
-    found = pairs.read(folder)
-    assert found.provenance == made.provenance
-    assert found.count == made.count == sum(len(call.ask) for one in made.sessions for call in one.calls)
-    for one, other in zip(found.sessions, made.sessions, strict=True):
+    read_pairs = pairs.read(folder)
+    assert read_pairs.provenance == made.provenance
+    assert read_pairs.count == made.count == sum(len(call.ask) for one in made.sessions for call in one.calls)
+    for one, other in zip(read_pairs.sessions, made.sessions, strict=True):
         assert replace(one, answers=()) == replace(other, answers=())
         for question, same in zip(one.questions, other.questions, strict=True):
             assert all(np.array_equal(question.answer[key], values) for key, values in same.answer.items())
-    pairs.write(folder, found)
+    pairs.write(folder, read_pairs)
     assert (folder / names.PAIRS).read_bytes() == data
 
 
 def test_questions_know_what_was_shown_before() -> None:
-    found = session().questions
-    assert [(one.env, one.episode, one.asked_at, [place for _, place in one.recipes]) for one in found] == [
+    read_pairs = session().questions
+    assert [(one.env, one.episode, one.asked_at, [place for _, place in one.recipes]) for one in read_pairs] == [
         (0, 0, (0,), [0]),
         (2, 0, (0,), [0]),
         (0, 0, (0, 2), [0, 1, 2]),
         (2, 1, (0,), [100]),
     ]
-    assert len(session(steps=3).chunk(found[0])) == 2
+    assert len(session(steps=3).chunk(read_pairs[0])) == 2
 
 
 def _changed(change: Callable[[dict[str, Any]], Any], folder: Path) -> None:
@@ -120,8 +120,8 @@ def test_a_file_that_was_changed_is_refused(change: Callable[[dict[str, Any]], A
 
 
 def _array(document: dict[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = document["sessions"][0]["calls"][2]["answers"][0]["arm_joint_state"]
-    return found
+    read_pairs: dict[str, Any] = document["sessions"][0]["calls"][2]["answers"][0]["arm_joint_state"]
+    return read_pairs
 
 
 @pytest.mark.parametrize("content", [b"", b"[" * 100_000, b"\xff", b"NaN", b"[1]"])

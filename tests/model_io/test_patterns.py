@@ -14,30 +14,30 @@ GOLDEN = RNG.normal(size=(3, 2, 5, 2))
 """Of three episodes, two questions, five steps, two numbers."""
 
 
-def _seen(given: np.ndarray, kind: PolicyKind | None = None) -> list[str]:
+def _seen(answers: np.ndarray, kind: PolicyKind | None = None) -> list[str]:
     def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
         return [[{"arm_joint_state": values} for values in chunk] for chunk in rows]
 
     threads = [
-        EpisodeAnswers([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(GOLDEN, given, strict=True)
+        EpisodeAnswers([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(GOLDEN, answers, strict=True)
     ]
     spread = spreads([chunk for thread in threads for chunk in thread.golden])
     return [one.convention for one in patterns(threads, spread, 1e-4, kind or PolicyKind())]
 
 
 def _off(*where: Any) -> np.ndarray:
-    given = GOLDEN.copy()
-    for place in where:
-        given[place] += 0.3
-    return given
+    answers = GOLDEN.copy()
+    for index in where:
+        answers[index] += 0.3
+    return answers
 
 
 def test_a_state_that_is_not_carried_on() -> None:
     """First answers are right, and later ones are not: what that means depends on the policy."""
-    given = _off(np.s_[:, 1])
-    assert _seen(given, PolicyKind(keeps_state=True)) == ["recurrent"]
-    assert _seen(given, PolicyKind(history=3)) == ["history_length"]
-    assert _seen(given) == ["action_reference"]
+    answers = _off(np.s_[:, 1])
+    assert _seen(answers, PolicyKind(keeps_state=True)) == ["recurrent"]
+    assert _seen(answers, PolicyKind(history=3)) == ["history_length"]
+    assert _seen(answers) == ["action_reference"]
     assert _seen(_off(np.s_[1, 1]), PolicyKind(keeps_state=True)) == []
 
 
@@ -57,7 +57,7 @@ def test_later_steps_alone() -> None:
 
 
 def test_other_draws_are_random_about_zero() -> None:
-    given = GOLDEN + RNG.normal(size=GOLDEN.shape) * 0.2
-    assert _seen(given, PolicyKind(draws=True)) == ["sampling"]
-    assert _seen(given) == []
+    answers = GOLDEN + RNG.normal(size=GOLDEN.shape) * 0.2
+    assert _seen(answers, PolicyKind(draws=True)) == ["sampling"]
+    assert _seen(answers) == []
     assert _seen(_off(np.s_[:]), PolicyKind(draws=True)) == []

@@ -32,12 +32,12 @@ def test_a_recording_is_written_and_told(tmp_path: Path) -> None:
     folder = parity.write_adapter(tmp_path / "Foo")
     done = xpl("model-io", "record", str(folder), "--json", cwd=tmp_path)
     assert done.returncode == ExitCode.CLEAN, done.stderr
-    told = json.loads(done.stdout)
-    assert answers.problems(told) == []
-    assert (told["conventions"], len(told["assumed"])) == (13, 9)  # two are said to be, seven are not named
-    assert told["assumed"][:3] == ["joint_order", "angle_unit", "camera"]
+    message = json.loads(done.stdout)
+    assert answers.problems(message) == []
+    assert (message["conventions"], len(message["assumed"])) == (13, 9)  # two are said to be, seven are not named
+    assert message["assumed"][:3] == ["joint_order", "angle_unit", "camera"]
     found = pairs.read(folder)
-    assert told["pairs"] == found.count >= 20
+    assert message["pairs"] == found.count >= 20
     assert set(found.provenance["reference"]) == {"reference.py", "network.py"}
     assert provenance.code_problems(folder, found.provenance) == []
     assert "numpy" in found.provenance["libraries"]
@@ -54,15 +54,15 @@ def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_author
         1,
     )
     folder = parity.write_adapter(tmp_path / "Foo", code=code)
-    told = recorded(folder, seed=5).pairs.provenance
-    assert "msgpack/__init__.py" in told["authors"]
-    assert provenance.code_problems(folder, told, sys.executable) == []
+    message = recorded(folder, seed=5).pairs.provenance
+    assert "msgpack/__init__.py" in message["authors"]
+    assert provenance.code_problems(folder, message, sys.executable) == []
     (folder / "reference.py").write_text(code.replace("fallback.py:3", "ext.py:7"))
-    assert provenance.code_problems(folder, told, sys.executable) == []
+    assert provenance.code_problems(folder, message, sys.executable) == []
     (folder / "reference.py").write_text(code.replace("episode.rng.random()", "0.5"))
-    assert provenance.code_problems(folder, told, sys.executable) == ["reference.py was changed"]
+    assert provenance.code_problems(folder, message, sys.executable) == ["reference.py was changed"]
     (folder / "reference.py").write_text(code)
-    changed = {**told, "authors": {**told["authors"], "msgpack/__init__.py": "0" * 64}}
+    changed = {**message, "authors": {**message["authors"], "msgpack/__init__.py": "0" * 64}}
     assert provenance.code_problems(folder, changed, sys.executable) == [
         "msgpack/__init__.py of the authors' code was changed"
     ]
@@ -86,8 +86,8 @@ def test_what_would_change_is_told_before_it_is_written(tmp_path: Path) -> None:
         r"\d+ of \d+ answers differ, ee_joint_state\[0\] by 0\.\d+ of its span; in ee_joint_state\[0\]", other.stdout
     )
     assert (folder / names.PAIRS).read_bytes() == before
-    told = json.loads(xpl("model-io", "record", str(folder), "--json", cwd=tmp_path).stdout)
-    assert told["changes"] == other.stdout.splitlines()
+    message = json.loads(xpl("model-io", "record", str(folder), "--json", cwd=tmp_path).stdout)
+    assert message["changes"] == other.stdout.splitlines()
 
 
 RECURRENT = """
@@ -162,7 +162,7 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
 
 @pytest.mark.sampled(2)
 @pytest.mark.parametrize(
-    ("code", "told"),
+    ("code", "message"),
     [
         ("import xpl\n\n\ndef answers(config): ...\n", "reference.py imports xpl"),
         ("from xpl.rotation import rotate\n\n\ndef answers(config): ...\n", "reference.py imports xpl.rotation"),
@@ -182,11 +182,11 @@ COUNTED = "{'arm_joint_state': np.full(7, len(CALLS), np.float32), 'ee_joint_sta
         (BODY.format(f"return [{STEP}] * 1_000_000"), "may have 10000 action steps, got 1000000"),
     ],
 )
-def test_what_is_wrong_with_a_reference_is_told(code: str, told: str, tmp_path: Path) -> None:
+def test_what_is_wrong_with_a_reference_is_told(code: str, message: str, tmp_path: Path) -> None:
     folder = parity.write_adapter(tmp_path / "Foo", None, code=code)
     with pytest.raises(UserError) as caught:
         recorded(folder)
-    assert told in f"{caught.value} {caught.value.hint}"
+    assert message in f"{caught.value} {caught.value.hint}"
     assert not (folder / names.PAIRS).exists()
 
 
@@ -271,7 +271,7 @@ def test_a_reference_cannot_change_what_the_next_question_shows() -> None:
     }
     obs = {"state": {"ee_joint_state": np.zeros(1, np.float32)}}
     calls = [{"show": [[0, obs]]}, {"ask": [0]}, {"ask": [0]}]
-    told = list(worker.play(answer, {**order, "calls": calls}))
-    assert len(told) == 4
-    assert len(set(told)) == 1
+    message = list(worker.play(answer, {**order, "calls": calls}))
+    assert len(message) == 4
+    assert len(set(message)) == 1
     assert get_embodiment("franka_single").arms[0].dof == 7

@@ -33,31 +33,31 @@ def answers(config):
 
 
 def test_conventions_and_what_is_assumed() -> None:
-    found = reference_file.parse(TEXT)
-    assert {name: source.text for name, source in found.conventions.items()} == {
+    parsed = reference_file.parse(TEXT)
+    assert {name: source.text for name, source in parsed.conventions.items()} == {
         "image_channels": "authors/transforms.py:41",
         "gripper": "assumed: the paper does not say",
         "rotation": " Assumed ",
         "chunk": "",
     }
-    assert found.assumed == ("gripper", "rotation", "chunk")
-    assert found.conventions["gripper"].location.line == 8
-    assert (found.defines_answers, found.problems) == (True, ())
-    assert "policy.yml" in [text for text, _ in found.texts]
-    assert not any("Answers as" in text for text, _ in found.texts)
+    assert parsed.assumed == ("gripper", "rotation", "chunk")
+    assert parsed.conventions["gripper"].location.line == 8
+    assert (parsed.defines_answers, parsed.problems) == (True, ())
+    assert "policy.yml" in [text for text, _ in parsed.texts]
+    assert not any("Answers as" in text for text, _ in parsed.texts)
 
 
 def test_imports_wherever_they_stand() -> None:
-    found = reference_file.parse(TEXT).imports
-    assert [(item.module, item.level, item.location.line) for item in found] == [
+    parsed = reference_file.parse(TEXT).imports
+    assert [(item.module, item.level, item.location.line) for item in parsed] == [
         ("importlib", 0, 2),
         ("numpy", 0, 3),
         ("authors", 1, 4),
         ("xpl", 0, 15),
         ("Foo.model", 0, 16),
     ]
-    assert [item.module for item in found if item.takes_sdk] == ["xpl"]
-    assert [item.module for item in found if item.takes_adapter("Foo")] == ["Foo.model"]
+    assert [item.module for item in parsed if item.takes_sdk] == ["xpl"]
+    assert [item.module for item in parsed if item.takes_adapter("Foo")] == ["Foo.model"]
 
 
 @pytest.mark.parametrize(
@@ -74,8 +74,8 @@ def test_imports_wherever_they_stand() -> None:
     ],
 )
 def test_which_imports_take_the_adapter(line: str, taken: bool) -> None:
-    (found,) = reference_file.parse(line).imports
-    assert found.takes_adapter("Foo") is taken
+    (parsed,) = reference_file.parse(line).imports
+    assert parsed.takes_adapter("Foo") is taken
 
 
 @pytest.mark.parametrize(

@@ -38,11 +38,11 @@ def _applied(change: np.ndarray, place: str = "fixed", turn: str = "fixed", poin
     return made if point is None else poses.compose(made, poses.invert(point))
 
 
-def _found(wanted: np.ndarray, given: np.ndarray) -> list[TriedChange]:
+def _found(wanted: np.ndarray, answers: np.ndarray) -> list[TriedChange]:
     def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
         return [[{"ee_pose": row} for row in chunk] for chunk in rows.reshape(5, 4, 7)]
 
-    golden, told = chunks(wanted), chunks(given)
+    golden, told = chunks(wanted), chunks(answers)
     threads = [
         EpisodeAnswers([{"state": {"ee_pose": state}}], [0], [one], [other])
         for state, one, other in zip(STATES, golden, told, strict=True)
@@ -53,7 +53,7 @@ def _found(wanted: np.ndarray, given: np.ndarray) -> list[TriedChange]:
 
 
 @pytest.mark.parametrize(
-    ("wanted", "given", "convention"),
+    ("wanted", "answers", "convention"),
     [
         (poses.compose(OTHER, _applied(CHANGES)), _applied(CHANGES), "frame"),
         (poses.compose(_applied(CHANGES), OTHER), _applied(CHANGES), "point"),
@@ -63,10 +63,10 @@ def _found(wanted: np.ndarray, given: np.ndarray) -> list[TriedChange]:
         (_applied(CHANGES[:, [1, 0, 2, 3, 4, 5, 6]]), _applied(CHANGES), "frame"),
     ],
 )
-def test_a_constant_is_found(wanted: np.ndarray, given: np.ndarray, convention: str) -> None:
-    found = _found(wanted, given)
-    assert found
-    assert found[0].convention == convention, [one.words for one in found]
+def test_a_constant_is_found(wanted: np.ndarray, answers: np.ndarray, convention: str) -> None:
+    fits = _found(wanted, answers)
+    assert fits
+    assert fits[0].convention == convention, [one.words for one in fits]
 
 
 def test_what_is_no_constant_is_not_found() -> None:

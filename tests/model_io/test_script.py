@@ -18,27 +18,27 @@ from xpl.manifest import Manifest
 from xpl_cli.model_io import script, test_images
 from xpl_cli.standard.validate import validate
 
-PLACES = [(env, place) for env in (0, 2, 5) for place in (0, 1, 2, 3, 4, 100, 101)]
+PLACES = [(env, index) for env in (0, 2, 5) for index in (0, 1, 2, 3, 4, 100, 101)]
 
 
 def scene(robot: str, size: tuple[int, int] = (12, 16)) -> script.ScriptedScene:
-    found = get_embodiment(robot)
-    return script.ScriptedScene(found, dict.fromkeys(found.cameras, size))
+    calls_found = get_embodiment(robot)
+    return script.ScriptedScene(calls_found, dict.fromkeys(calls_found.cameras, size))
 
 
-def shown(robot: str) -> list[dict[str, Any]]:
+def observed(robot: str) -> list[dict[str, Any]]:
     return scene(robot).observations(PLACES)
 
 
 @pytest.mark.sampled(4)
 @pytest.mark.parametrize("robot", embodiment_names())
 def test_observations_are_those_of_the_standard(robot: str) -> None:
-    for obs in shown(robot):
+    for obs in observed(robot):
         assert validate(obs, "observation") == []
     for arm in get_embodiment(robot).arms:
         if arm.lower is None or arm.upper is None:
             continue
-        joints = np.array([obs["state"][f"{arm.prefix}arm_joint_state"] for obs in shown(robot)])
+        joints = np.array([obs["state"][f"{arm.prefix}arm_joint_state"] for obs in observed(robot)])
         share = (joints - arm.lower) / (arm.upper - arm.lower)
         assert 0 < share.min() < 0.06
         assert 0.94 < share.max() < 1
@@ -46,15 +46,18 @@ def test_observations_are_those_of_the_standard(robot: str) -> None:
 
 @pytest.mark.parametrize("robot", ["franka", "piper_single", "aloha_agilex"])
 def test_poses_agree_with_joints(robot: str) -> None:
-    found = get_embodiment(robot)
-    chain = Chain.from_embodiment(found.data)
-    for obs in shown(robot):
-        for arm, side in zip(found.arms, found.data["arms"], strict=True):
+    calls_found = get_embodiment(robot)
+    chain = Chain.from_embodiment(calls_found.data)
+    for obs in observed(robot):
+        for arm, side in zip(calls_found.arms, calls_found.data["arms"], strict=True):
             state = {
                 key: np.float64(obs["state"][arm.prefix + key]) for key in ("arm_joint_state", "ee_pose", "tcp_pose")
             }
-            flange = poses.compose(mount(found, side), chain.flange(state["arm_joint_state"]))
-            for known, given in ((flange, state["ee_pose"]), (poses.compose(flange, tool(found)), state["tcp_pose"])):
+            flange = poses.compose(mount(calls_found, side), chain.flange(state["arm_joint_state"]))
+            for known, given in (
+                (flange, state["ee_pose"]),
+                (poses.compose(flange, tool(calls_found)), state["tcp_pose"]),
+            ):
                 assert np.allclose(given[:3], known[:3], atol=1e-6)
                 assert rotation.angle_between(given[3:], known[3:]) < 1e-5
 
@@ -64,14 +67,14 @@ def test_poses_agree_with_joints(robot: str) -> None:
 def test_quaternions_have_both_signs_and_some_lie_near_a_half_turn(robot: str) -> None:
     """No sign is decided by rounding."""
     for arm in get_embodiment(robot).arms:
-        scalars = np.array([obs["state"][f"{arm.prefix}ee_pose"][3] for obs in shown(robot)])
+        scalars = np.array([obs["state"][f"{arm.prefix}ee_pose"][3] for obs in observed(robot)])
         assert (scalars > 0).any()
         assert (scalars < 0).any()
         assert 0.02 < np.abs(scalars).min() < 0.2
 
 
 def test_no_two_things_look_alike() -> None:
-    observations = shown("arx_x5")
+    observations = observed("arx_x5")
     pictured = [camera["color"].tobytes() for obs in observations for camera in obs["vision"].values()]
     assert len(set(pictured)) == len(pictured)
     for key in ("arm_joint_state", "ee_pose", "tcp_pose"):
@@ -126,7 +129,7 @@ def test_the_calls_try_what_environments_do(calls: tuple[script.Call, ...]) -> N
     assert any(list(envs) != sorted(envs) for envs in asked)
     assert sum(call.reset for call in calls) >= 2
     assert any(one.show and two.show for one, two in itertools.pairwise(calls))
-    assert all(place % script.EPISODE < script.EPISODE - 1 for _, place in recipes)
+    assert all(index % script.EPISODE < script.EPISODE - 1 for _, index in recipes)
 
 
 def test_a_history_builds_up_and_is_full() -> None:

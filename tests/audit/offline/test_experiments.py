@@ -90,20 +90,20 @@ def moved(by: float, column: int, action_type: str = "joint") -> tuple[dict[str,
 def test_a_jump_is_more_than_the_robot_moves_in_one_step() -> None:
     """By the speed of the joint: 5 rad/s at 25 Hz are 0.2 rad. The gripper may jump."""
     assert not list(limits.jumps(ROBOT, *moved(0.19, 0), RATE))
-    (found,) = limits.jumps(ROBOT, *moved(0.25, 0), RATE)
-    assert str(found) == "left_arm_joint_state[0]: 0.25 rad, possible are 0.201"
+    (excesses,) = limits.jumps(ROBOT, *moved(0.25, 0), RATE)
+    assert str(excesses) == "left_arm_joint_state[0]: 0.25 rad, possible are 0.201"
     assert not list(limits.jumps(ROBOT, *moved(0.3, 6), RATE))
     assert not list(limits.jumps(ROBOT, *moved(0.25, 0), RATE / 2))
 
 
 def test_a_jump_of_a_pose_is_one_of_position_or_orientation() -> None:
-    (found,) = limits.jumps(ROBOT, *moved(-0.2, 9, "ee"), RATE)
-    assert found.what == "position of right_ee_pose"
+    (excesses,) = limits.jumps(ROBOT, *moved(-0.2, 9, "ee"), RATE)
+    assert excesses.what == "position of right_ee_pose"
     state, action = moved(0, 0, "ee")
     action["left_ee_pose"][3:] *= -1
     assert not list(limits.jumps(ROBOT, state, action, RATE))
     action["left_ee_pose"][3:] = rotations.LARGE
-    assert [found.what for found in limits.jumps(ROBOT, state, action, RATE)] == ["orientation of left_ee_pose"]
+    assert [excesses.what for excesses in limits.jumps(ROBOT, state, action, RATE)] == ["orientation of left_ee_pose"]
 
 
 def test_joints_end_where_the_embodiment_says() -> None:

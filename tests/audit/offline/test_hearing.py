@@ -53,6 +53,6 @@ def test_equal_answers_prove_something_only_of_who_listens(tmp_path: Path, share
         package, "policy", AuditOptions(gates=(Gate.OFFLINE,), names=("XPL203", "XPL204"), keep_going=True)
     )
     (gate,) = report.gates
-    found = {result.slug: result.outcome.value for result in gate.results}
-    assert found["batch-order"] == outcome
-    assert found["batch-none-and-empty"] == "pass"
+    results = {result.slug: result.outcome.value for result in gate.results}
+    assert results["batch-order"] == outcome
+    assert results["batch-none-and-empty"] == "pass"

@@ -75,12 +75,12 @@ def test_any_number_that_differs_is_found_where_it_differs_first(seed: int, numb
             one["ee_pose"][3:] *= -1
     assert Judgement(golden, given, 1e-4, {}).deviation is None
     given[number][step]["ee_pose"][index] += 0.01
-    found = Judgement(golden, given, 1e-4, {}).deviation
-    assert found is not None
-    assert (found.part, found.question.number, found.step) == (f"ee_pose[{index}]", number, step)
-    assert (found.pairs, found.parts) == (1, (found.part,))
-    assert found.answer - found.golden == pytest.approx(0.01, abs=1e-5) or index >= 3
-    assert found.share == pytest.approx(0.01 / found.span, rel=1e-3)
+    deviation = Judgement(golden, given, 1e-4, {}).deviation
+    assert deviation is not None
+    assert (deviation.part, deviation.question.number, deviation.step) == (f"ee_pose[{index}]", number, step)
+    assert (deviation.pairs, deviation.parts) == (1, (deviation.part,))
+    assert deviation.answer - deviation.golden == pytest.approx(0.01, abs=1e-5) or index >= 3
+    assert deviation.share == pytest.approx(0.01 / deviation.span, rel=1e-3)
 
 
 def test_what_two_recordings_differ_by_is_no_difference() -> None:
@@ -105,18 +105,18 @@ def test_a_chunk_may_be_the_beginning_of_the_golden_one_and_no_more() -> None:
 
 def test_questions_that_are_asked_again_keep_what_was_before_them() -> None:
     """The same episodes, with all that was asked earlier in them; nothing of other environments."""
-    course = SessionReplay(session(0))
-    assert course.all_questions == [0, 1, 2, 3]
-    assert course.with_earlier([2]) == [0, 2]
-    assert [call for call in course.calls_for([2]) if call.show or call.ask] == [
+    replay = SessionReplay(session(0))
+    assert replay.all_questions == [0, 1, 2, 3]
+    assert replay.with_earlier([2]) == [0, 2]
+    assert [call for call in replay.calls_for([2]) if call.show or call.ask] == [
         script.Call(show=((0, 0),)),
         script.Call(ask=(0,)),
         script.Call(show=((0, 1),)),
         script.Call(show=((0, 2),)),
         script.Call(ask=(0,)),
     ]
-    assert [call.reset for call in course.calls_for([3])].count(True) == 2
-    assert course.calls_for(course.all_questions) == list(course.session.calls)
+    assert [call.reset for call in replay.calls_for([3])].count(True) == 2
+    assert replay.calls_for(replay.all_questions) == list(replay.session.calls)
 
 
 # -- in distribution ---------------------------------------------------------------------------------------------------
@@ -150,9 +150,9 @@ def test_answers_of_another_model_are_not(change: Callable[[np.ndarray], np.ndar
     for one in others:
         one["ee_joint_state"] = change(one["ee_joint_state"])
     given = [[[{k: v[t, s] for k, v in one.items()} for s in range(3)] for t in range(32)] for one in others]
-    found = distribution.find_shift(both.with_answers(halves, takes=32), given, 1e-4)
-    assert found is not None
-    assert (found.part, found.parts, found.statistic) == ("ee_joint_state[0]", ("ee_joint_state[0]",), what)
+    shift = distribution.find_shift(both.with_answers(halves, takes=32), given, 1e-4)
+    assert shift is not None
+    assert (shift.part, shift.parts, shift.statistic) == ("ee_joint_state[0]", ("ee_joint_state[0]",), what)
 
 
 # -- served ------------------------------------------------------------------------------------------------------------
@@ -376,11 +376,11 @@ def test_a_model_is_asked_once_for_all_words_that_change_commands_alone() -> Non
     model = Counting(config)
     absolute = {**block, "action": {**block["action"], "reference": "absolute"}}
     broken = {**block, "action": {**block["action"], "pad": 3}}
-    course = SessionReplay(PairSession("franka_single", "joint", 0, {}, 1, script.short_script()))
+    replay = SessionReplay(PairSession("franka_single", "joint", 0, {}, 1, script.short_script()))
     asked, known = PerturbedModel(model, block), set[str]()
 
     def answers(asked: PerturbedModel, blocks: list[Any], seconds: float = 100.0) -> list[Any]:
-        order = {"blocks": blocks, "seconds": seconds, **course.worker_request(script.short_script(), known)}
+        order = {"blocks": blocks, "seconds": seconds, **replay.worker_request(script.short_script(), known)}
         loaded, *found = [packed.decode(one) for one in asked.answers(order)]
         assert loaded["result"] is None
         return found

@@ -80,15 +80,15 @@ def test_a_model_can_be_played_without_a_server(write_adapter: Callable[..., Pat
 )
 def test_bits_are_compared(first: Any, second: Any, path: tuple[Any, ...]) -> None:
     """Signs of zero, dtypes and types count; the place is that of the first difference."""
-    found = mismatch(first, second)
-    assert found is not None
-    assert found.path == path
+    difference = mismatch(first, second)
+    assert difference is not None
+    assert difference.path == path
     assert mismatch(first, first) is None
     assert mismatch(second, second) is None
 
 
 def test_a_mismatch_tells_both_numbers_and_their_distance() -> None:
     """Numbers of unsigned types do not wrap around."""
-    found = mismatch(np.uint8([3]), np.uint8([250]))
-    assert found is not None
-    assert (found.first, found.second, found.size) == (3, 250, 247)
+    difference = mismatch(np.uint8([3]), np.uint8([250]))
+    assert difference is not None
+    assert (difference.first, difference.second, difference.size) == (3, 250, 247)

@@ -21,14 +21,14 @@ UNCHANGED = Mistake(0, "", "camera", change_observations=lambda seen: [{**obs, "
 
 def test_episodes_that_are_passed_are_begun() -> None:
     """What is drawn depends on the number of the episode, so that each shows something."""
-    course = SessionReplay(SESSION)
+    replay = SessionReplay(SESSION)
     last = SESSION.questions[-1]
-    calls = course.calls_for([last.number])
-    asked = [(call, episode) for call, episode in with_episode_numbers(calls) if call.ask]
-    assert {episode for _, episode in asked} == {last.episode} == {2}
+    calls = replay.calls_for([last.number])
+    numbers = [(call, episode) for call, episode in with_episode_numbers(calls) if call.ask]
+    assert {episode for _, episode in numbers} == {last.episode} == {2}
     shown = [episode for call, episode in with_episode_numbers(calls) if call.show]
     assert shown.count(0) == shown.count(1) == 1
-    assert len(course.calls_for([0])) < len(calls)
+    assert len(replay.calls_for([0])) < len(calls)
 
 
 class Client:
@@ -63,20 +63,20 @@ class Client:
 
 def test_all_environments_are_played_together() -> None:
     """With what is shown instead, in the session's own calls, by a client that was just connected."""
-    course, clients = SessionReplay(SESSION), list[Client]()
+    replay, clients = SessionReplay(SESSION), list[Client]()
 
     def connect() -> Any:
         clients.append(Client())
         return contextlib.nullcontext(clients[-1])
 
-    with PerturbedAdapter(course, {}, connect, once=False, together=True) as around:
+    with PerturbedAdapter(replay, {}, connect, once=False, together=True) as around:
         for _ in range(2):
-            answers = around.answers(UNCHANGED, course.all_questions)
+            answers = around.answers(UNCHANGED, replay.all_questions)
         assert answers is not None
-        assert list(answers) == course.all_questions
+        assert list(answers) == replay.all_questions
         assert around.answers(UNCHANGED, [0]) is not None
     assert len(clients) == 2  # equal plays are one
-    asked = [one for one in clients[0].done if isinstance(one, tuple)]
-    assert [len(one) for one in asked] == [len(call.ask) for call in SESSION.calls if call.ask]
+    numbers = [one for one in clients[0].done if isinstance(one, tuple)]
+    assert [len(one) for one in numbers] == [len(call.ask) for call in SESSION.calls if call.ask]
     assert clients[0].done.count("reset") == 3
     assert False not in clients[1].done

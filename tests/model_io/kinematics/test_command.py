@@ -83,5 +83,5 @@ def test_without_a_witness_that_is_said(changes: dict[str, Any], words: str, tmp
 def test_rows_are_of_the_robot_that_they_fit(tmp_path: Path) -> None:
     folder = _made(tmp_path / "P", "quaternion_xyzw", embodiments=["piper_single", ROBOT])
     manifest = Manifest.parse(yaml.safe_load((folder / "policy.yml").read_text(encoding="utf-8")))
-    found = sample_verdicts.judge_samples(manifest, [folder])
-    assert {verdict.outcome for verdict in found} == {"agrees"}
+    verdicts = sample_verdicts.judge_samples(manifest, [folder])
+    assert {verdict.outcome for verdict in verdicts} == {"agrees"}

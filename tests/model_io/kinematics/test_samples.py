@@ -38,13 +38,13 @@ def test_rows_of_inputs_and_of_columns_beside_them_are_joined(tmp_path: Path) ->
         {"file": "data.npz", "key": "observation/pose", "of": "pose"},
         {"file": "data.json", "key": "episode/joints", "parts": JOINTS},
     )
-    found = samples.collect(block, [tmp_path], ROBOT)
-    assert [(one.kind, one.rows.shape, one.leads) for one in found] == [
+    columns_found = samples.collect(block, [tmp_path], ROBOT)
+    assert [(one.kind, one.rows.shape, one.leads) for one in columns_found] == [
         ("position", (30, 3), False),
         ("rotation", (30, 4), False),
         ("joints", (30, 7), False),
     ]
-    assert {verdict.outcome for verdict in consistency.judge(found, ROBOT)} == {consistency.AGREES}
+    assert {verdict.outcome for verdict in consistency.judge(columns_found, ROBOT)} == {consistency.AGREES}
 
 
 def test_deltas_are_no_witness(tmp_path: Path) -> None:
@@ -56,9 +56,9 @@ def test_deltas_are_no_witness(tmp_path: Path) -> None:
 def test_long_recordings_are_thinned(tmp_path: Path) -> None:
     np.savez(tmp_path / "data.npz", q=np.arange(7000.0).reshape(1000, 7))
     block = _block({"file": "data.npz", "key": "q", "parts": JOINTS})
-    (found,) = samples.collect(block, [tmp_path], ROBOT)
-    assert len(found.rows) == 256
-    assert (found.rows[0, 0], found.rows[-1, -1]) == (0, 6999)
+    (columns_found,) = samples.collect(block, [tmp_path], ROBOT)
+    assert len(columns_found.rows) == 256
+    assert (columns_found.rows[0, 0], columns_found.rows[-1, -1]) == (0, 6999)
 
 
 @pytest.mark.parametrize(
@@ -107,8 +107,8 @@ def test_words_that_the_block_leaves_open_are_answered(tmp_path: Path) -> None:
     parts = [{"position": {"arm": "single", "point": why}}, {"rotation": {"arm": "single", "form": why}}]
     np.savez(tmp_path / "data.npz", pose=rows(true, "franka_single", STATES), q=rows(JOINTS, "franka_single", STATES))
     entries = [{"file": "data.npz", "key": "pose", "parts": parts}, {"file": "data.npz", "key": "q", "parts": JOINTS}]
-    found = samples.collect(_block(*entries), [tmp_path], ROBOT)
-    _, position, rotation = consistency.judge(found, ROBOT)
+    columns_found = samples.collect(_block(*entries), [tmp_path], ROBOT)
+    _, position, rotation = consistency.judge(columns_found, ROBOT)
     assert position.outcome == rotation.outcome == consistency.ANSWERS
     assert position.change == "point: tcp"
     assert rotation.change == "form: rot6d_columns"

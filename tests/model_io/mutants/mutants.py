@@ -105,14 +105,14 @@ class Mutant:
 
 def read(source: str) -> tuple[Mutant, ...]:
     """Return the mutants of a file of mistakes."""
-    found = []
+    mutants_read = []
     for adapter, mistakes in yaml.safe_load((HERE / f"{source}.yml").read_text()).items():
         for name, mistake in mistakes.items():
             edits = tuple((edit.get("file", _MODEL), edit["replace"], edit["by"]) for edit in mistake["edits"])
-            told = mistake["convention"]
-            conventions = tuple(told) if isinstance(told, list) else (told,)
-            found.append(Mutant(Adapter(adapter), name, conventions, edits, source, bool(mistake.get("two"))))
-    return tuple(found)
+            entry = mistake["convention"]
+            conventions = tuple(entry) if isinstance(entry, list) else (entry,)
+            mutants_read.append(Mutant(Adapter(adapter), name, conventions, edits, source, bool(mistake.get("two"))))
+    return tuple(mutants_read)
 
 
 CORRECT = tuple(Adapter(path.name) for path in sorted(SUBJECTS.iterdir()) if path.is_dir())

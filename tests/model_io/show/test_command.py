@@ -157,23 +157,23 @@ def _run(folder: Path) -> report.ShowReport:
 
 
 def test_what_code_exchanges_is_seen_when_the_model_runs(tmp_path: Path) -> None:
-    found = _run(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block(), EXCHANGES))
-    top = next(view for view in found.views if view.input == "top")
+    document = _run(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block(), EXCHANGES))
+    top = next(view for view in document.views if view.input == "top")
     assert top.notes == ("red and blue exchanged",)
-    assert any(note.startswith("top: numbers differ by up to") for note in found.notes)
-    assert not any("wrist" in note for note in found.notes)
-    assert found.action_from == "what the model answered"
-    assert found.action[1].values["model"] == [0.0, 0.0]
+    assert any(note.startswith("top: numbers differ by up to") for note in document.notes)
+    assert not any("wrist" in note for note in document.notes)
+    assert document.action_from == "what the model answered"
+    assert document.action[1].values["model"] == [0.0, 0.0]
 
 
 def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Path) -> None:
-    found = _run(two_arm_adapter.write_adapter(tmp_path / "P", None, BY_HAND))
-    (view,) = found.views
+    document = _run(two_arm_adapter.write_adapter(tmp_path / "P", None, BY_HAND))
+    (view,) = document.views
     assert (view.input, view.camera) == ("views[0]", "cam_left_wrist")
     assert view.notes == ("most like cam_left_wrist", "mirrored", "red and blue exchanged")
-    assert "nothing says what these numbers mean" in found.notes[0]
-    assert "own: '<builtins.object>'" in found.notes
-    assert (found.vectors, found.action) == ((), ())
+    assert "nothing says what these numbers mean" in document.notes[0]
+    assert "own: '<builtins.object>'" in document.notes
+    assert (document.vectors, document.action) == ((), ())
 
 
 def test_without_a_block_and_without_running_nothing_can_be_shown(tmp_path: Path) -> None:
@@ -190,11 +190,11 @@ def test_what_is_open_and_what_is_missing_is_told(tmp_path: Path) -> None:
     unknown = two_arm_adapter.image("top", "cam_head", channels={"unknown": "no transform names it"})
     model_io = two_arm_adapter.block(images=[unknown], samples=rows)
     model_io["state"][0]["normalize"] = {"rule": "mean_std", "file": "stats.json"}
-    _, _, found = looked(tmp_path / "P", model_io)
-    told = "\n".join(found.notes)
+    _, _, document = looked(tmp_path / "P", model_io)
+    told = "\n".join(document.notes)
     assert "images[0].channels" in told
     assert "stats.json is not there" in told
-    (witness,) = found.witness
+    (witness,) = document.witness
     assert "rows.npz" in witness
 
 
@@ -203,10 +203,10 @@ def test_pairs_are_shown_where_there_are_some(tmp_path: Path) -> None:
     assert xpl("model-io", "record", str(folder), cwd=tmp_path).returncode == ExitCode.CLEAN
     what = load_adapter(package.load(folder), {})
     view, steps, told = report.first_pair(what) or pytest.fail("no pairs")
-    found = report.report_from_block(what, view, (steps, told))
-    assert found.action_from.startswith("what reference.py answered (golden_pairs.json, environment 0")
+    document = report.report_from_block(what, view, (steps, told))
+    assert document.action_from.startswith("what reference.py answered (golden_pairs.json, environment 0")
     assert len(steps) == 4
-    assert all(abs(value) <= 1 for number in found.action[:7] for value in number.values["model"])
+    assert all(abs(value) <= 1 for number in document.action[:7] for value in number.values["model"])
 
 
 def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
@@ -223,10 +223,10 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     real = scene.of_environment(
         scene.EnvironmentEpisode("mujoco", "lift_tray_bimanual"), what.robot, "joint", what.cameras
     )
-    found = report.report_from_block(what, real)
-    assert {view.notes for view in found.views} == {()}
-    assert not np.array_equal(found.views[0].taken, card("cam_head", 0, *found.views[0].taken.shape[:2]))
-    assert found.scene.origin == "the first observation of mujoco, lift_tray_bimanual, seed 0"
+    document = report.report_from_block(what, real)
+    assert {view.notes for view in document.views} == {()}
+    assert not np.array_equal(document.views[0].taken, card("cam_head", 0, *document.views[0].taken.shape[:2]))
+    assert document.scene.origin == "the first observation of mujoco, lift_tray_bimanual, seed 0"
 
 
 @pytest.mark.parametrize(

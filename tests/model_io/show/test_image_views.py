@@ -34,18 +34,18 @@ def at(picture: np.ndarray, place: tuple[float, float] = RED) -> str:
     return ("red", "green", "blue")[int(np.argmax(pixel))]
 
 
-def views(found: ShowReport) -> dict[str, ImageView]:
-    return {view.input: view for view in found.views}
+def views(found_views: ShowReport) -> dict[str, ImageView]:
+    return {view.input: view for view in found_views.views}
 
 
 def test_a_right_block_shows_the_cameras_and_says_nothing(tmp_path: Path) -> None:
-    found = views(shown(tmp_path / "P", two_arm_adapter.block()))
-    assert {name: view.camera for name, view in found.items()} == {
+    found_views = views(shown(tmp_path / "P", two_arm_adapter.block()))
+    assert {name: view.camera for name, view in found_views.items()} == {
         "top": "cam_head",
         "left_wrist": "cam_left_wrist",
         "right_wrist": "cam_right_wrist",
     }
-    for view in found.values():
+    for view in found_views.values():
         assert view.notes == ()
         assert (view.shape, view.dtype, view.seen.shape) == ((3, 64, 64), "float32", (64, 64, 3))
         assert -1 <= view.values.min() < view.values.max() <= 1
@@ -67,9 +67,9 @@ def test_exchanged_wrists_are_said(tmp_path: Path) -> None:
             two_arm_adapter.image("right_wrist", "cam_left_wrist"),
         ]
     )
-    found = views(shown(tmp_path / "P", model_io))
-    assert found["left_wrist"].notes == ("the input is called left_wrist, and shows cam_right_wrist",)
-    assert found["right_wrist"].notes == ("the input is called right_wrist, and shows cam_left_wrist",)
+    found_views = views(shown(tmp_path / "P", model_io))
+    assert found_views["left_wrist"].notes == ("the input is called left_wrist, and shows cam_right_wrist",)
+    assert found_views["right_wrist"].notes == ("the input is called right_wrist, and shows cam_left_wrist",)
 
 
 @pytest.mark.sampled(2)
@@ -104,9 +104,9 @@ def test_history_shows_its_moments(tmp_path: Path) -> None:
     model_io = two_arm_adapter.block(
         history={"length": 3, "stride": 2}, images=[two_arm_adapter.image("top", "cam_head")]
     )
-    found = shown(tmp_path / "P", model_io)
-    assert [view.when for view in found.views] == [0, 2, 4]
-    for view in found.views:
+    found_views = shown(tmp_path / "P", model_io)
+    assert [view.when for view in found_views.views] == [0, 2, 4]
+    for view in found_views.views:
         told = "now" if view.when == 0 else f"{view.when} steps ago"
         assert np.array_equal(view.taken, card("cam_head", 0, *view.taken.shape[:2], told))
         assert view.notes == ()

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
 def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
     what = load_adapter(package.load(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())), {})
-    found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
-    (vector,) = found.vectors
+    listed = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
+    (vector,) = listed.vectors
     first, gripper, padding = vector.numbers[0], vector.numbers[6], vector.numbers[-1]
     assert (first.part, first.name, first.unit) == ("joints left", "joint1", "deg")
     ((radians,),) = (entry["values"] for entry in first.standard)
@@ -33,13 +33,13 @@ def test_the_state_is_told_in_both_words(tmp_path: Path) -> None:
     assert gripper.standard[0]["name"] == "left_ee_joint_state[0] opening"
     assert (padding.part, padding.name) == ("padding", "2 numbers")
     assert vector.words == "normalised by min_max, padded to 16"
-    assert found.texts == {"prompt": "put the red block into the left tray.\n"}
+    assert listed.texts == {"prompt": "put the red block into the left tray.\n"}
 
 
 def test_a_command_that_begins_by_holding_still_shows_what_deltas_are(tmp_path: Path) -> None:
     what = load_adapter(package.load(two_arm_adapter.write_adapter(tmp_path / "P", two_arm_adapter.block())), {})
-    found = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
-    joint, gripper = found.action[1], found.action[6]
+    listed = report.report_from_block(what, scene.scripted(what.package.manifest, what.robot, what.cameras, 1))
+    joint, gripper = listed.action[1], listed.action[6]
     before, after = (entry["values"] for entry in (joint.standard[0], {"values": joint.values["before"]}))
     assert after[0] == pytest.approx(0, abs=1e-4)
     assert after[1] == pytest.approx(np.rad2deg(before[1] - before[0]), abs=1e-3)
@@ -58,16 +58,16 @@ def test_every_word_of_the_block_has_a_table_and_a_figure(name: str) -> None:
     for entry in case.model_io.get("state", ()):
         vector = interface.states[entry["input"]]
         values = np.asarray(inputs[entry["input"]])
-        found = numbers.of_state(entry, vector, values, observation["state"], case.embodiment)
-        assert len(found) == vector.width + (vector.padded > vector.width)
-        assert all(one.name for one in found)
+        listed = numbers.of_state(entry, vector, values, observation["state"], case.embodiment)
+        assert len(listed) == vector.width + (vector.padded > vector.width)
+        assert all(one.name for one in listed)
         read.append(
             robot_figure.ReadVector(entry["input"], entry, vector, vector.denormalize(values.astype(np.float64)))
         )
     steps = support.steps(case, np.random.default_rng(0), 4)
     answer = interface.action.encode(steps, observation["state"], {})
-    found = numbers.of_action(case.model_io["action"], interface, answer, steps, case.embodiment)
-    assert len(found) == interface.action.vector.width + (
+    listed = numbers.of_action(case.model_io["action"], interface, answer, steps, case.embodiment)
+    assert len(listed) == interface.action.vector.width + (
         interface.action.vector.padded > interface.action.vector.width
     )
     drawn = robot_figure.figures(case.embodiment, observation["state"], read, steps)

@@ -51,46 +51,46 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def ruler(package: Path) -> ErrorMetric:
+def metric(package: Path) -> ErrorMetric:
     """Measures against them."""
     robot = get_embodiment(ROBOT)
     recordings = [load_recording(one, robot, "joint") for one in open_folder(package / "demonstrations")]
     return ErrorMetric(make_session(recordings, robot, "joint", 0, HORIZON, 1))
 
 
-def _done(ruler: ErrorMetric) -> dict[int, Any]:
-    return {question.number: ruler.session.chunk(question) for question in ruler.session.questions}
+def _done(metric: ErrorMetric) -> dict[int, Any]:
+    return {question.number: metric.session.chunk(question) for question in metric.session.questions}
 
 
-def _everything(ruler: ErrorMetric) -> range:
-    return range(len(ruler.session.questions))
+def _everything(metric: ErrorMetric) -> range:
+    return range(len(metric.session.questions))
 
 
 # -- measuring ---------------------------------------------------------------------------------------------------------
 
 
-def test_what_was_done_is_no_error_and_standing_still_is_one(ruler: ErrorMetric) -> None:
-    own = ruler.errors(_done(ruler), _everything(ruler))
+def test_what_was_done_is_no_error_and_standing_still_is_one(metric: ErrorMetric) -> None:
+    own = metric.errors(_done(metric), _everything(metric))
     assert own.units() == {JOINTS: 0.0, GRIPPER: 0.0}
-    still, before = (ruler.errors(said, _everything(ruler)) for said in (ruler.hold_pose(), ruler.repeat_action()))
+    still, before = (metric.errors(said, _everything(metric)) for said in (metric.hold_pose(), metric.repeat_action()))
     assert 0.02 < still.units()[JOINTS] < 0.5
     assert before.units()[JOINTS] == pytest.approx(still.units()[JOINTS])  # the expert's arm is where it was sent
 
 
-def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unknown(ruler: ErrorMetric) -> None:
+def test_a_refused_question_is_as_wrong_as_can_be_and_one_without_answer_is_unknown(metric: ErrorMetric) -> None:
     """So that a convention under which nothing is refused fits better."""
-    given = {**_done(ruler), 0: [], 1: []}
-    found = ruler.errors(given, _everything(ruler), {0})
-    assert found.steps[0, 0] == 3.0
-    assert np.isnan(found.steps[1]).all()
-    assert found.units()[JOINTS] == 0.0
+    answers = {**_done(metric), 0: [], 1: []}
+    errors = metric.errors(answers, _everything(metric), {0})
+    assert errors.steps[0, 0] == 3.0
+    assert np.isnan(errors.steps[1]).all()
+    assert errors.units()[JOINTS] == 0.0
 
 
-def test_who_stands_still_is_told_from_who_moves(ruler: ErrorMetric) -> None:
+def test_who_stands_still_is_told_from_who_moves(metric: ErrorMetric) -> None:
     """A change that takes all motion away is no convention."""
-    assert ruler.motion_share(_done(ruler), _everything(ruler)) == pytest.approx(1.0)
-    assert ruler.motion_share(ruler.hold_pose(), _everything(ruler)) == 0.0
-    assert np.isnan(ruler.motion_share({}, _everything(ruler)))
+    assert metric.motion_share(_done(metric), _everything(metric)) == pytest.approx(1.0)
+    assert metric.motion_share(metric.hold_pose(), _everything(metric)) == 0.0
+    assert np.isnan(metric.motion_share({}, _everything(metric)))
 
 
 def test_poses_are_not_made_up_where_none_were_observed(package: Path) -> None:
@@ -136,9 +136,9 @@ def test_unknown_steps_gain_nothing() -> None:
     """Else a change that leaves out what is hard would fit best."""
     before = np.tile([1.0, 3.0], (6, 1))
     after = np.tile([0.5, np.nan], (6, 1))
-    found = margin(_errors(before), _errors(after), range(6))
-    assert found is not None
-    assert found.share == pytest.approx(3.5 / 4.0)
+    margin_found = margin(_errors(before), _errors(after), range(6))
+    assert margin_found is not None
+    assert margin_found.share == pytest.approx(3.5 / 4.0)
     assert margin(_errors(before), _errors(np.full((6, 2), np.nan)), range(6)) is None
 
 
@@ -151,47 +151,49 @@ def test_nothing_is_better_than_no_error() -> None:
 # -- asking ------------------------------------------------------------------------------------------------------------
 
 
-def test_questions_are_asked_beside_each_other_with_their_histories(ruler: ErrorMetric) -> None:
+def test_questions_are_asked_beside_each_other_with_their_histories(metric: ErrorMetric) -> None:
     """An environment whose history is shorter joins later; all are asked about in the end."""
-    made = make_session(ruler.session.recordings, get_embodiment(ROBOT), "joint", 0, HORIZON, 3)
+    made = make_session(metric.session.recordings, get_embodiment(ROBOT), "joint", 0, HORIZON, 3)
     early = next(number for number, (_, step) in enumerate(made.question_steps) if step == 0)
     late = next(number for number, (_, step) in enumerate(made.question_steps) if step > 3)
-    wanted = sorted((early, late))
-    reset, *shown, ask = BatchedReplay(made).calls_for(wanted)
+    questions = sorted((early, late))
+    reset, *observations, ask = BatchedReplay(made).calls_for(questions)
     assert reset.reset
-    assert [len(call.show) for call in shown] == [1, 1, 2]
+    assert [len(call.show) for call in observations] == [1, 1, 2]
     assert ask.ask == (0, 1)
-    assert {made.questions[number].recipes[-1][1] for number in wanted} == {place for _, place in shown[-1].show}
+    assert {made.questions[number].recipes[-1][1] for number in questions} == {
+        place for _, place in observations[-1].show
+    }
 
 
-def test_the_first_tries_are_of_all_episodes(ruler: ErrorMetric) -> None:
-    chosen = select_few(ruler.session.question_steps)
-    assert {ruler.session.question_steps[number][0] for number in chosen} == set(range(6))
+def test_the_first_tries_are_of_all_episodes(metric: ErrorMetric) -> None:
+    chosen = select_few(metric.session.question_steps)
+    assert {metric.session.question_steps[number][0] for number in chosen} == set(range(6))
     assert len(chosen) <= 12
 
 
 def test_rates_stretch_and_shorten_a_chunk() -> None:
     """Steps of a slower model are interpolated; what a chunk does not reach is unknown."""
     chunk = [{"arm_joint_state": np.array([float(step)])} for step in range(1, 5)]
-    told = {
+    scaled_chunks = {
         one.description: one.change_actions([[*chunk]], [{}], [0])[0]
         for one in rates()
         if one.change_actions is not None
     }
     values = {
         words: [None if step is None else float(step["arm_joint_state"][0]) for step in steps]
-        for words, steps in told.items()
+        for words, steps in scaled_chunks.items()
     }
     assert values["rate: half of the control rate"] == [None, 1.0, 1.5, 2.0]
     assert values["rate: twice the control rate"] == [2.0, 4.0, None, None]
 
 
-def test_a_picture_shows_the_number_that_is_mended(ruler: ErrorMetric) -> None:
+def test_a_picture_shows_the_number_that_is_mended(metric: ErrorMetric) -> None:
     """As SVG, small, with nothing of a name read as markup."""
-    done = _done(ruler)
+    done = _done(metric)
     key = "ee_joint_state"
     wrong = {number: [{**step, key: 1.0 - step[key]} for step in chunk] for number, chunk in done.items()}
-    picture, part = plot_errors(ruler, wrong, done, "a < b")
+    picture, part = plot_errors(metric, wrong, done, "a < b")
     assert part == f"{key}[0]"
     assert picture.startswith("<svg ")
     assert "a &lt; b" in picture

@@ -25,9 +25,9 @@ RULE = "demonstrations-fit"
 def workspace(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two policies of one model, of which Wrong has red for blue, and six episodes beside them that neither names."""
     root = tmp_path_factory.mktemp("told")
-    known = {subject.name: subject for subject in fixtures.fixtures(find(RULE))}
+    fixtures_by_name = {subject.name: subject for subject in fixtures.fixtures(find(RULE))}
     for name, subject in (("Right", "good/as-trained"), ("Wrong", "bad/blue-for-red")):
-        package = fixtures.build(known[subject], root / name)
+        package = fixtures.build(fixtures_by_name[subject], root / name)
         (package / declaration.FILE).unlink()
         shutil.rmtree(root / "demos", ignore_errors=True)
         (package / "demonstrations").rename(root / "demos")
@@ -42,7 +42,7 @@ def _audit(workspace: Path, name: str, *options: str) -> subprocess.CompletedPro
 def _result(ran: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     """Return the rule's result in a JSON report."""
     (package,) = json.loads(ran.stdout)["targets"]
-    return next(found for gate in package["gates"] for found in gate["results"] if found["slug"] == RULE)
+    return next(results for gate in package["gates"] for results in gate["results"] if results["slug"] == RULE)
 
 
 def test_a_mistake_is_named_in_every_form_and_drawn(workspace: Path) -> None:

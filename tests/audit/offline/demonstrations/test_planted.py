@@ -79,22 +79,22 @@ def test_other_vectors_of_a_file_of_lerobots_are_known(statistics: Path) -> None
     (policy,) = trained(["ACT push_block"])
     block = json.loads(json.dumps(policy.manifest.model_io.data))
     block["action"]["normalize"]["key"] = "observation.state"
-    found = in_block(AdapterCase(get_embodiment("arx_x5_single"), "ee", block, [statistics]), 16)
-    assert "normalize: key: action (action)" in {one.description for one, _ in found}
+    mistakes = in_block(AdapterCase(get_embodiment("arx_x5_single"), "ee", block, [statistics]), 16)
+    assert "normalize: key: action (action)" in {one.description for one, _ in mistakes}
 
 
 def test_variances_that_are_taken_for_deviations_are_known() -> None:
     (policy,) = trained(["Tiny_VLA pick_by_language"])
     (subject,) = [one for one in policy.subjects if one.name == "divided by the variance"]
-    found = {
+    mistakes = {
         one.description: changed
         for one, changed in in_block(
             AdapterCase(get_embodiment("arx_x5_single"), "joint", subject.block, [policy.package]), 8
         )
     }
-    mended = found["normalize: std: the root of what is said"]
+    fixed = mistakes["normalize: std: the root of what is said"]
     right = policy.manifest.model_io.data["action"]["normalize"]["values"]["std"]
-    assert mended["action"]["normalize"]["values"]["std"] == pytest.approx(right)
+    assert fixed["action"]["normalize"]["values"]["std"] == pytest.approx(right)
 
 
 @pytest.mark.slow

@@ -80,14 +80,14 @@ class Local:
         told = self.__getattr__("update_obs")(obs)
         return told if isinstance(told, PolicyServerError) else self.__getattr__("get_action")()
 
-    def blocks(self, again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
+    def blocks(self, again: Any, tried: Any, questions: Any, seconds: float) -> Any:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
-        course, asked = again._course, PerturbedModel(self.model, again._block)
-        order = {"blocks": tried, "seconds": seconds, **course.told(course.calls(wanted), set())}
+        replay, asked = again._course, PerturbedModel(self.model, again._block)
+        order = {"blocks": tried, "seconds": seconds, **replay.told(replay.calls(questions), set())}
         why, *answers = [packed.decode(one).get("result") for one in asked.answers(order)]
         if why is not None:
             return None
-        return [None if one is None else dict(zip(sorted(wanted), one, strict=True)) for one in answers]
+        return [None if one is None else dict(zip(sorted(questions), one, strict=True)) for one in answers]
 
 
 @dataclass
@@ -125,8 +125,8 @@ class Judged:
     def _checked(self, slug: str) -> RuleResult:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
 
-        def blocks(again: Any, tried: Any, wanted: Any, seconds: float) -> Any:
-            return self.probe.blocks(again, tried, wanted, seconds)
+        def blocks(again: Any, tried: Any, questions: Any, seconds: float) -> Any:
+            return self.probe.blocks(again, tried, questions, seconds)
 
         with mock.patch.object(LoadedAdapter, "blocks", blocks):
             return Checks(Facts(facts, {}))._run_check(find(slug))  # type: ignore[arg-type]

@@ -80,12 +80,12 @@ class Trained:
     @cached_property
     def subjects(self) -> list[Subject]:
         """The right adapter, and one with each mistake that is listed for its package, in sample first."""
-        found = [Subject(self, "in", None)]
+        policies = [Subject(self, "in", None)]
         for sample, path in LISTS.items():
             if sample not in self.told.get("lists", LISTS):
                 continue
             told = (yaml.safe_load(path.read_text()) if path.is_file() else {}).get(self.package.name, {})
-            found += [
+            policies += [
                 Subject(
                     self,
                     sample,
@@ -93,7 +93,7 @@ class Trained:
                 )
                 for name, one in told.items()
             ]
-        return found
+        return policies
 
 
 @dataclass(frozen=True)
@@ -190,9 +190,9 @@ def demonstrations(policy: Trained, demos: Path, place: Path, count: int) -> Pat
         place: the new folder.
         count: episodes.
     """
-    found = sorted((demos / str(policy.told["demos"])).glob("*.hdf5"))[-count:]
+    folders = sorted((demos / str(policy.told["demos"])).glob("*.hdf5"))[-count:]
     place.mkdir(parents=True)
-    for file in found:
+    for file in folders:
         (place / file.name).symlink_to(file.resolve())
     return place
 
@@ -200,10 +200,10 @@ def demonstrations(policy: Trained, demos: Path, place: Path, count: int) -> Pat
 def said(path: Path) -> dict[str, Any]:
     """Return a JSON file's object, empty if it is not there or was cut."""
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
+        sentence: dict[str, Any] = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
-    return found
+    return sentence
 
 
 def listed(told: Any) -> tuple[str, ...]:

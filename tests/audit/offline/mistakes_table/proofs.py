@@ -40,9 +40,9 @@ def demonstrations(planted: Judged, right: Judged, conventions: tuple[str, ...])
     except Exception as error:  # noqa: BLE001 - a row of the table, not its end
         return {**row, "outcome": "crash", "told": repr(error), "right": False, "convention": None}
     row["outcome"], row["seconds"] = str(fit.outcome), round(time.monotonic() - started, 1)
-    found = fit.findings[0] if fit.findings else None
-    cause = dict(dict(found.evidence or {})["cause"]) if found is not None else {}
-    row["told"] = found.message if found is not None else fit.reason or json.dumps(fit.proof)
+    result = fit.findings[0] if fit.findings else None
+    cause = dict(dict(result.evidence or {})["cause"]) if result is not None else {}
+    row["told"] = result.message if result is not None else fit.reason or json.dumps(fit.proof)
     row["words"], row["convention"] = cause.get("words"), cause.get("convention")
     row["share"], row["ties"] = cause.get("share"), cause.get("ties", [])
     row["right"] = bool(cause) and cause["convention"] in conventions
@@ -81,22 +81,22 @@ def _tried(planted: Judged) -> dict[str, Any]:
 
 def _apart(planted: Judged, right: Judged) -> tuple[float, float]:
     """Return how far the answers are from the right ones, and how far these are from what was done, both as shares."""
-    ruler, own = right.fact.metric, right.fact.errors
+    metric, own = right.fact.metric, right.fact.errors
     if planted is right:
         return 0.0, float(own.steps[own.known].mean())
     there, here = right.fact.answers, planted.fact.answers
-    other = _AnswerDistance(ruler, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refusals)
+    other = _AnswerDistance(metric, there).errors(dict(enumerate(here)), range(len(here)), planted.fact.refusals)
     return float(other.steps[other.known].mean()), float(own.steps[own.known].mean())
 
 
 class _AnswerDistance(action_errors.ErrorMetric):
     """Measures against other answers than what was done, in the same spreads."""
 
-    def __init__(self, ruler: action_errors.ErrorMetric, answers: Any) -> None:
-        super().__init__(ruler.session)
-        self.__dict__["_spread"] = ruler._spread
+    def __init__(self, metric: action_errors.ErrorMetric, answers: Any) -> None:
+        super().__init__(metric.session)
+        self.__dict__["_spread"] = metric._spread
         self._demonstrated = [
-            list(answer)[: len(done)] for answer, done in zip(answers, ruler._demonstrated, strict=True)
+            list(answer)[: len(done)] for answer, done in zip(answers, metric._demonstrated, strict=True)
         ]
 
 
@@ -127,8 +127,8 @@ def audited(package: Path, python: str, seconds: float, codes: tuple[str, ...] =
     }
     for one in results:
         if one["code"] == PARITY:
-            cause = next((dict(found.get("evidence") or {}).get("cause") or {} for found in one["findings"]), {})
-            told_so = "; ".join(found["message"] for found in one["findings"]) or one["reason"]
+            cause = next((dict(findings.get("evidence") or {}).get("cause") or {} for findings in one["findings"]), {})
+            told_so = "; ".join(findings["message"] for findings in one["findings"]) or one["reason"]
             row["parity"] = {"outcome": one["outcome"], "told": told_so, **cause}
     return row
 
@@ -162,13 +162,13 @@ def _json(command: list[str], seconds: float) -> dict[str, Any]:
     with subprocess.Popen(command, **pipes, start_new_session=True) as process:  # type: ignore[call-overload]
         try:
             answer, notes = process.communicate(timeout=seconds)
-            found: dict[str, Any] = json.loads(answer)
+            document: dict[str, Any] = json.loads(answer)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             return {"failure": f"no answer within {seconds:.0f} s"}
         except ValueError:
             return {"failure": notes[-800:]}
-    return found
+    return document
 
 
 def _lines(path: Path) -> list[str]:

@@ -36,7 +36,7 @@ Row = dict[str, Any]
 
 def collected(first: Path, after: Path | None) -> list[Row]:
     """Return a row for each mistake, of the rows that proofs wrote."""
-    found, alike = [], _alike(first)
+    rows_found, alike = [], _alike(first)
     for policy in trained():
         for subject in policy.subjects:
             told = {
@@ -65,24 +65,24 @@ def collected(first: Path, after: Path | None) -> list[Row]:
             parity = told["first", "parity"] or same.get("parity", {})
             row["parity"] = _kept("parity", parity.get("parity") or {})
             row["success"] = _kept("success", told["first", "success"] or same.get("success", {}))
-            found.append(row)
-    return found
+            rows_found.append(row)
+    return rows_found
 
 
 def _alike(first: Path) -> dict[str, dict[str, Row]]:
     """Return what was found of equal adapters: both lists hold some mistakes."""
-    found: dict[str, dict[str, Row]] = {}
+    ties: dict[str, dict[str, Row]] = {}
     for policy in trained():
         for subject in policy.subjects:
             for proof in ("contract", "parity", "success"):
-                if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
-                    found.setdefault(subject.same, {})[proof] = row
-    return found
+                if row := named(first / "rows" / f"{subject.key}-{proof}.json"):
+                    ties.setdefault(subject.same, {})[proof] = row
+    return ties
 
 
 def again(rows: list[Row], out: Path) -> list[Row]:
     """Return rows with what a run found, where it found something."""
-    told, found = _alike(out), []
+    told, rows_found = _alike(out), []
     for row in rows:
         subject = _subject(row)
         new = dict(row)
@@ -90,8 +90,8 @@ def again(rows: list[Row], out: Path) -> list[Row]:
             new[proof] = _kept(proof, (whole.get("parity") or {}) if proof == "parity" else whole)
         if one := said(out / "rows" / f"{subject.key}-demonstrations.json"):
             new.update(after=_kept("demonstrations", one), apart=round(one["apart"], 4), own=round(one["own"], 4))
-        found.append(new)
-    return found
+        rows_found.append(new)
+    return rows_found
 
 
 def _kept(proof: str, whole: Row) -> Row | None:
@@ -124,8 +124,8 @@ def rates(rows: list[Row], sample: str, when: str) -> dict[str, tuple[int, int]]
 
 def results() -> list[Row]:
     """Return the rows of results.json."""
-    found: list[Row] = json.loads(RESULTS.read_text())
-    return found
+    rows_found: list[Row] = json.loads(RESULTS.read_text())
+    return rows_found
 
 
 # -- the page ----------------------------------------------------------------------------------------------------------
@@ -184,10 +184,10 @@ def _is_in_code(row: Row) -> bool:
 
 def distinct(rows: list[Row]) -> list[Row]:
     """Return rows of different adapters: of what is in both lists, that of the independent author."""
-    found: dict[str, Row] = {}
+    distinct_rows: dict[str, Row] = {}
     for row in sorted(rows, key=lambda row: row["sample"] == "in"):
-        found.setdefault(_subject(row).same, row)
-    return list(found.values())
+        distinct_rows.setdefault(_subject(row).same, row)
+    return list(distinct_rows.values())
 
 
 def _policies(rows: list[Row]) -> list[str]:
@@ -337,10 +337,10 @@ def picture(rows: list[Row]) -> str:
 def _provers(row: Row) -> list[str]:
     if row["mistake"] == RIGHT:
         return []
-    found = ["contract"] if row["contract"] and row["contract"]["codes"] else []
-    found += ["parity"] if row["parity"] and _is_named_by_parity(row) else []
-    found += ["demonstrations"] if named(row, "after") else []
-    return found or ["none"]
+    provers = ["contract"] if row["contract"] and row["contract"]["codes"] else []
+    provers += ["parity"] if row["parity"] and _is_named_by_parity(row) else []
+    provers += ["demonstrations"] if named(row, "after") else []
+    return provers or ["none"]
 
 
 def main() -> None:
