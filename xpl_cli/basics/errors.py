@@ -13,7 +13,7 @@ _NEAR: Final = 0.5
 
 
 class ExitCode(IntEnum):
-    """Exit codes of `xpl`, the same for every command; help and documentation are written from them.
+    """Exit codes of `xpl`, the same for every command; source of help and documentation.
 
     Attributes:
         meaning: in a few words.
@@ -38,7 +38,7 @@ class ExitCode(IntEnum):
 
 
 class UserError(Exception):
-    """A mistake of the user, or of the machine, that one sentence explains.
+    """An error that the user can act on, explained in one sentence.
 
     Args:
         message: what was expected, what came and where.
@@ -52,7 +52,7 @@ class UserError(Exception):
         self.code = code
 
     def details(self) -> dict[str, object]:
-        """Return what this kind of error adds to `xpl.error/1`."""
+        """Return the additional entries of `xpl.error/1`."""
         return {}
 
 
@@ -64,13 +64,13 @@ class NotFoundError(UserError):
 
 
 class UnknownNameError(UserError):
-    """A name that is none of those there are.
+    """An unknown name.
 
     Args:
-        message: says so, and lists them where they are few.
+        message: one sentence, which lists the known names if they are few.
         given: the name.
-        known: those there are.
-        listing: command that lists them.
+        known: the known names.
+        listing: command that lists the known names.
     """
 
     ends_with = ExitCode.USAGE
@@ -83,7 +83,7 @@ class UnknownNameError(UserError):
         UserError.__init__(self, message, hint=hint, code=self.ends_with)
 
     def details(self) -> dict[str, object]:
-        """Return the name, those there are unless they are many, and the nearest of them."""
+        """Return the name, the known names unless they are many, and the nearest of them."""
         return {
             "given": self.given,
             "choices": list(self.known) if len(self.known) <= _MOST_LISTED else [],
@@ -92,7 +92,7 @@ class UnknownNameError(UserError):
 
 
 class UnknownTargetError(UnknownNameError, NotFoundError):
-    """The target of a command is none of those there are."""
+    """The target of a command is unknown."""
 
     ends_with = ExitCode.NOT_FOUND
 
@@ -105,7 +105,7 @@ def no_such(
     listing: str | None = None,
     kind: type[UnknownNameError] = UnknownNameError,
 ) -> UnknownNameError:
-    """Return the error about a name that there is not; where those there are are few, its message lists them."""
+    """Return the error for an unknown name; its message lists the known names if they are few."""
     known = tuple(known)
     names = ", ".join(known) or "none"
     message = sentence if len(known) > _MOST_LISTED else f"{sentence}; there are: {names}"
@@ -113,10 +113,10 @@ def no_such(
 
 
 def one_of(option: str, given: str, known: Iterable[str]) -> str:
-    """Return the value of an option that has to be one of some names.
+    """Validate the value of an option against a list of names.
 
     Raises:
-        UnknownNameError: if it is none of them.
+        UnknownNameError: if it is not in the list.
     """
     known = tuple(known)
     if given not in known:
@@ -125,7 +125,7 @@ def one_of(option: str, given: str, known: Iterable[str]) -> str:
 
 
 def nearest_of(given: str, known: Iterable[str], most: int = 3) -> tuple[str, ...]:
-    """Return the names that a name is most likely a misspelling of, the likeliest first."""
+    """Return the most similar known names, the nearest first."""
     from xpl.nearest import nearest
 
     return tuple(nearest(given, known, most, _NEAR))

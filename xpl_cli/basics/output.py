@@ -1,4 +1,4 @@
-"""The file that `--output` names."""
+"""The file of `--output`."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ if TYPE_CHECKING:
 
 
 def check(path: Path) -> None:
-    """Stop before the work, which may take minutes, where no file can be written.
+    """Check before the work, which may take minutes, that the file can be written.
 
     Raises:
         UserError: if it is a folder.
-        NotFoundError: if there is no folder that it could lie in.
+        NotFoundError: if its parent folder does not exist.
     """
     if path.is_dir():
         raise UserError(f"--output takes a file, got the folder {path}", hint=f"--output {path / 'answer.json'}")
@@ -24,7 +24,7 @@ def check(path: Path) -> None:
 
 
 def write(path: Path, text: str) -> None:
-    """Write the file, whole or not at all.
+    """Write the file atomically.
 
     Raises:
         UserError: if it cannot be written.
@@ -36,13 +36,13 @@ def write(path: Path, text: str) -> None:
             _write_through(path, text)  # a pipe or a device cannot be replaced
         else:
             atomic.write_file(path.resolve(), text.encode(errors="replace"))
-    except (OSError, RuntimeError) as error:  # the latter of a link that leads to itself, before Python 3.13
+    except (OSError, RuntimeError) as error:  # RuntimeError for a circular link, before Python 3.13
         reason = getattr(error, "strerror", None) or error
         raise UserError(f"--output {path} cannot be written: {reason}") from error
 
 
 def _write_through(path: Path, text: str) -> None:
-    """Write to what is no file; a pipe that nobody reads is an error, instead of being waited for."""
+    """Write to a pipe or a device; a pipe without a reader is an error and does not block."""
     import os
 
     descriptor = os.open(path, os.O_WRONLY | os.O_NONBLOCK | os.O_CLOEXEC)

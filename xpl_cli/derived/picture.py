@@ -1,4 +1,4 @@
-"""The picture of the zoo: every policy in the field of its family, with a mark for each level that it reached."""
+"""The picture of the zoo: policies grouped by family, with a mark for each level that they reached."""
 
 from __future__ import annotations
 
@@ -59,13 +59,15 @@ def drawn(families: Mapping[str, Sequence[ZooPolicy]]) -> str:
 
 def _head(height: int) -> Iterator[str]:
     counts = {level: sum(one.level == level for one in policies.policies()) for level in policies.levels()}
-    told = ", ".join(f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count)
+    level_counts = ", ".join(
+        f"{count} at level {level.number} ({level.word})" for level, count in counts.items() if count
+    )
     yield (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {height}" role="img" '
         'aria-labelledby="title description">'
     )
     yield '  <title id="title">How far each policy of the field runs here</title>'
-    yield f'  <desc id="description">Policies by family, with the levels that each reached: {told}.</desc>'
+    yield f'  <desc id="description">Policies by family, with the levels that each reached: {level_counts}.</desc>'
     yield _STYLE
     yield f'  <rect class="paper" x="1" y="1" width="{_WIDTH - 2}" height="{height - 2}" rx="12"/>'
 

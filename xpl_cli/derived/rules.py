@@ -1,4 +1,4 @@
-"""The pages of all rules, written from the rules themselves; a test writes them again and compares."""
+"""The pages of all rules, generated from the rules; a test compares them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.demonstrations.check import DemonstrationCheck
 
 FOLDER = "docs/rules"
-"""Where the pages are, in a checkout."""
+"""Folder of the pages in a checkout."""
 
 _PAGES: Final = {
     "1": ("static", "Static gate", "Rules that read an adapter's files, and neither import nor run anything of it."),
@@ -40,7 +40,7 @@ _RETIRED: Final = "Their codes and names are not used again. A waiver that names
 
 
 def pages() -> dict[str, str]:
-    """Return every page, file name to text: an index, and a page for each hundred of codes."""
+    """Return all pages by file name: an index, and a page per hundred codes."""
     found: dict[str, list[Rule]] = {digit: [] for digit in _PAGES}
     for rule in (entry.load() for entry in builtin_entries()):
         found[rule.code.removeprefix(OUR_CODES)[0]].append(rule)
@@ -66,11 +66,11 @@ def _index(rules_by_page: dict[str, list[Rule]]) -> str:
         ]
         lines += [f"## {title}", "", *table(("rule", "severity", "finds"), rows), ""]
     name, title, introduction = _DATA
-    told = [
+    rows = [
         (f"[{check.code}]({name}.md#{check.code.lower()}-{check.slug}) {check.slug}", check.severity, check.summary)
         for check in CHECKS
     ]
-    lines += [f"## {title}", "", introduction, "", *table(("check", "severity", "holds if"), told), ""]
+    lines += [f"## {title}", "", introduction, "", *table(("check", "severity", "holds if"), rows), ""]
     gone = [(f"{entry.code} {entry.slug}", entry.found, f"{entry.reason} {entry.instead}") for entry in retired()]
     lines += [
         "## Retired",
@@ -84,7 +84,7 @@ def _index(rules_by_page: dict[str, list[Rule]]) -> str:
 
 
 def _entry(rule: Rule) -> Iterator[str]:
-    """Yield the lines of one rule: what it proves, then its documentation with headings that are no anchors."""
+    """Yield the lines of one rule: its requirement, then its documentation with headings without anchors."""
     requirement = spec.requirements()[rule.requirement]
     proves = f"proves [{requirement.id}](../reference/requirements.md)"
     yield from _described(rule, f"*{rule.gate.value} gate; {rule.severity}; {proves}:* {prose(requirement.text)}")

@@ -1,4 +1,4 @@
-"""The page of the zoo, written from its data; a test writes it again and compares."""
+"""The page of the zoo, generated from its data; a test compares it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from xpl_cli.standard.zoo.policies import ZooPolicy
 
 PAGE: Final = "docs/zoo.md"
-"""Where the page is, in a checkout."""
+"""Path of the page in a checkout."""
 PICTURE: Final = "docs/assets/zoo.svg"
-"""Where its picture is."""
+"""Path of its picture."""
 
 _UNKNOWN: Final = "-"
 _INTRODUCTION: Final = """\
@@ -43,7 +43,7 @@ def pages() -> dict[str, str]:
 
 
 def grouped() -> dict[str, list[ZooPolicy]]:
-    """Return the policies by what their family is called, in the order of `words.yml`; those without one come last."""
+    """Return the policies by the title of their family, in the order of `words.yml`; those without one come last."""
     called = policies.families()
     order = [*called, None]
     ranked = sorted(policies.policies(), key=lambda one: order.index(one.family))

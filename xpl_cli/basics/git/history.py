@@ -194,7 +194,7 @@ class Repository:
         return found, left_out
 
     def _others(self, limits: list[str]) -> set[str]:
-        """Return the files that nobody added and nothing ignores."""
+        """Return the untracked files that are not ignored."""
         listing = self.git.text("ls-files", "-z", "--others", "--exclude-standard", "--full-name", "--", *limits)
         return {name for name in listing.split("\0") if name}
 

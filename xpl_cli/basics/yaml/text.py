@@ -1,9 +1,9 @@
-"""Reads YAML that anybody may have written: every document that is refused is refused with its line and column.
+"""Parse untrusted YAML; errors have a line and a column.
 
-PyYAML's safe loader runs no code, but a document can still take its process down: nesting overflows libyaml's stack,
-aliases of aliases unfold into more than any memory holds, a number of a million digits takes hours. And where a scalar
-does not fit its tag, the loader raises whatever Python raised. So the bounds are checked before anything is built, and
-`yaml.YAMLError` is all that comes out.
+PyYAML's safe loader runs no code, but a document can still crash its process: deep nesting overflows libyaml's stack,
+aliases of aliases expand beyond memory, and a number of a million digits takes hours. Where a scalar does not fit its
+tag, the loader raises arbitrary exceptions. So limits are checked before anything is built, and only `yaml.YAMLError`
+is raised.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, Final
 import yaml
 
 MOST_BYTES: Final = 2 * 1024 * 1024
-"""Larger files are data, and no manifest."""
+"""Larger files are data, not manifests."""
 _MOST_LEVELS: Final = 100
 _MOST_VALUES: Final = 100_000
 _MOST_DIGITS: Final = 400
@@ -53,7 +53,7 @@ class YamlDocument:
 
 
 def parse(content: bytes | str) -> Any:
-    """Return what a YAML document holds (see `read`)."""
+    """Return the content of a YAML document (see `read`)."""
     return read(content).data
 
 
@@ -72,7 +72,7 @@ def read(content: bytes | str) -> YamlDocument:
         root = _composed(text)
     except yaml.MarkedYAMLError as error:
         problem = _plain(error, text)
-        # What is not closed has to be mended where it was opened.
+        # An unclosed bracket has to be fixed where it was opened.
         opened = error.context_mark if "is not closed" in problem else None
         raise _marked(problem, opened or error.problem_mark) from None
     if root is None:
@@ -98,7 +98,7 @@ def _decoded(content: bytes | str) -> str:
 
 
 def _refused(problem: str, text: str, place: int) -> yaml.MarkedYAMLError:
-    """Return the error that says so about a place of a text."""
+    """Return the error for a position of a text."""
     breaks = list(_BREAK.finditer(text, 0, place))
     start = breaks[-1].end() if breaks else 0
     mark = yaml.Mark("", place, len(breaks), place - start, None, 0)
@@ -110,12 +110,12 @@ def _at(problem: str, node: yaml.Node | yaml.Event) -> yaml.MarkedYAMLError:
 
 
 def _marked(problem: str, mark: Any) -> yaml.MarkedYAMLError:
-    """Return an error at a mark, which libyaml and PyYAML have classes of their own for."""
+    """Return an error at a mark of libyaml or PyYAML."""
     return yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
 
 
 def _survey(text: str) -> bool:
-    """Check what libyaml's composer would not survive; tell whether there is anything that has to be measured.
+    """Check limits that would crash libyaml's composer; tell whether the document's size has to be measured.
 
     That is aliases, and numbers of many digits.
     """
@@ -141,7 +141,7 @@ def _composed(text: str) -> yaml.Node | None:
 
 
 def _plain(error: yaml.MarkedYAMLError, text: str) -> str:
-    """Return what is wrong in the words of somebody who knows no scanner."""
+    """Return a parser's problem in plain words."""
     problem = " ".join(str(error.problem or error).split())
     mark = error.problem_mark
     lines = _BREAK.split(text)
@@ -153,7 +153,7 @@ def _plain(error: yaml.MarkedYAMLError, text: str) -> str:
 
 
 def _measure(root: yaml.Node) -> None:
-    """Check how much a document is with all its aliases unfolded, each node counted once per place where it stands."""
+    """Check the size of a document with all aliases expanded."""
     sizes: dict[int, tuple[int, int]] = {}
     open_: set[int] = set()
     waiting: list[tuple[yaml.Node, bool]] = [(root, False)]
@@ -202,7 +202,7 @@ def _constructed(root: yaml.Node) -> Any:
 
 
 def _misfit(root: yaml.Node, error: Exception) -> yaml.MarkedYAMLError:
-    """Return the error that names the scalar which is not what its tag says, such as the date 2024-99-99."""
+    """Return the error for a scalar that does not fit its tag, such as the date 2024-99-99."""
     waiting, seen = [root], set()
     while waiting:
         node = waiting.pop()
@@ -215,7 +215,7 @@ def _misfit(root: yaml.Node, error: Exception) -> yaml.MarkedYAMLError:
         loader = _Loader("")
         try:
             loader.construct_document(node)
-        except Exception:  # noqa: BLE001 - whatever it raises, this is the one
+        except Exception:  # noqa: BLE001 - any exception identifies the scalar
             return _at(f"{_short(node.value)} is no {node.tag.rpartition(':')[2]} (quote it if it is text)", node)
         finally:
             loader.dispose()

@@ -1,4 +1,4 @@
-"""`xpl answers`: what the JSON answers of the commands hold."""
+"""`xpl answers`: schemas of the commands' JSON answers."""
 
 from __future__ import annotations
 

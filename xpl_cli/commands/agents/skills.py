@@ -17,7 +17,7 @@ _DIR = typer.Option(None, "--dir", metavar="DIR", help="Top of the project; that
 
 @app.command("list")
 def list_(as_json: bool = JSON) -> None:
-    """List the skills: what each is for."""
+    """List the skills with their purposes."""
     from xpl_cli import __version__
     from xpl_cli.agents.skills.bundle import bundles
     from xpl_cli.basics import console
@@ -46,7 +46,7 @@ def get(
     full: bool = typer.Option(False, "--full", help="With all its references."),
     as_json: bool = JSON,
 ) -> None:
-    """Print the text of a skill as it belongs to this version; works offline, and whether it is installed or not."""
+    """Print the text of a skill of this version, also offline and if it is not installed."""
     from xpl_cli import __version__
     from xpl_cli.agents.skills.bundle import select_bundles
     from xpl_cli.basics import console
@@ -85,7 +85,7 @@ def install(
     dry_run: bool = typer.Option(False, "--dry-run", help="Only say what would be done."),
     as_json: bool = JSON,
 ) -> None:
-    """Put the skills where Cursor, Claude Code and Codex find them. What is not ours is left as it is."""
+    """Install the skills for Cursor, Claude Code and Codex. Other files are kept."""
     from xpl_cli import __version__
     from xpl_cli.agents.skills import instructions, locations
     from xpl_cli.agents.skills.bundle import select_bundles
@@ -126,7 +126,7 @@ def install(
 @app.command()
 @exit_codes(clean="agents get them", findings="they do not", not_found="none is installed")
 def check(project: Path | None = _DIR, as_json: bool = JSON) -> None:
-    """Find out whether agents get the skills of this version: stale copies, broken links, silent drops, the budget.
+    """Check the installed skills: outdated copies, broken links, skipped skills, the budget.
 
     Looks at the project and at the user's own folders.
     """

@@ -1,4 +1,4 @@
-"""`xpl sdk`: the part that policies and simulators install."""
+"""`xpl sdk`: build the SDK for policies and simulators."""
 
 from __future__ import annotations
 

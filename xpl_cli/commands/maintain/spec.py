@@ -81,7 +81,7 @@ def compile_(
     check: bool = typer.Option(False, "--check", help="Write nothing; fail if something is out of date."),
     as_json: bool = JSON,
 ) -> None:
-    """Write what is generated: the SDK's constants, and pages on standard, rules and commands (in a checkout only)."""
+    """Generate the SDK's constants, and the pages on standard, rules and commands (in a checkout only)."""
     from xpl_cli.basics import atomic, console
     from xpl_cli.derived import compiler
 

@@ -1,1 +1,1 @@
-"""Commands that tell what runs showed."""
+"""Commands that report results of runs."""

@@ -1,4 +1,4 @@
-"""`xpl leaderboard`: many recorded runs, ranked."""
+"""`xpl leaderboard`: rank recorded runs."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def leaderboard(
 def _of_the_field(
     folders: list[Path], *, by: str, with_tables: bool, partial: bool, out: Path | None, skip: bool, as_json: bool
 ) -> None:
-    """Rank what the benchmarks of the field left in their folders."""
+    """Rank result files of other benchmarks."""
     import json
 
     from xpl_cli.basics import atomic, console

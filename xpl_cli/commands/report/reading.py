@@ -1,4 +1,4 @@
-"""What the commands that read recorded runs share."""
+"""Shared by the commands that read recorded runs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SKIP_BAD_LINES = typer.Option(
 
 
 def runs(paths: Sequence[Path], *, skip: bool) -> list[Run]:
-    """Read runs; lines that were left out are named on stderr.
+    """Read runs; skipped lines are listed on stderr.
 
     Raises:
         NotFoundError: one of them is not there.

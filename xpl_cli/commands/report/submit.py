@@ -40,7 +40,7 @@ def submit(
     eval_env: str | None = _EVAL_ENV,
     as_json: bool = JSON,
 ) -> None:
-    """Make a bundle of runs that others can check. It holds records, adapter, audit, checkpoint, environment, digests.
+    """Bundle runs for verification by others: records, adapter, audit, checkpoint, environment, digests.
 
     Nothing is written unless the exit code is 0, and nothing is sent anywhere.
     """
@@ -175,7 +175,7 @@ def _report_text(report: VerificationReport) -> str:
 
 
 def _run_text(run: RunClaim) -> str:
-    """Return what a bundle claims of a run."""
+    """Return a bundle's claims about a run."""
     planned, completed, judged, won = map(run.total, ("planned", "completed", "judged", "successes"))
     unjudged = f", {completed - judged} not judged" if completed > judged else ""
     where = f"{run.environment}, {run.embodiment}, {run.action_type} control"

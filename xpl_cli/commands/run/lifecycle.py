@@ -1,4 +1,4 @@
-"""`xpl install`, `xpl prepare` and `xpl train`: what the scripts of an adapter call."""
+"""`xpl install`, `xpl prepare` and `xpl train`, which an adapter's scripts call."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def install(
     force: bool = typer.Option(False, "--force", help="Create the environment again."),
     as_json: bool = JSON,
 ) -> None:
-    """Make the Python environment that a manifest declares. Prints its interpreter."""
+    """Create the Python environment that a manifest declares. Prints its interpreter."""
     import shlex
 
     from xpl_cli.basics import console

@@ -116,7 +116,7 @@ def _audited(folder: Path) -> dict[str, Any]:
 
 
 def _next(path: Path, *, written: bool) -> list[str]:
-    """Return the commands that follow, ready to be pasted."""
+    """Return the next commands for pasting."""
     import shlex
 
     path_text = shlex.quote(str(path))

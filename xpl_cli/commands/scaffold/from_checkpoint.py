@@ -1,4 +1,4 @@
-"""`xpl new-policy --from`: an adapter from what training left behind; `xpl adopt` shares its options."""
+"""`xpl new-policy --from`: an adapter from a training's checkpoint; `xpl adopt` shares its options."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def begin(
     dry_run: bool,
     as_json: bool,
 ) -> None:
-    """Write a package that runs a checkpoint, and report what is known and what is open.
+    """Write a package that runs a checkpoint, and report known and unknown values.
 
     Args:
         name: of the package.
@@ -96,7 +96,7 @@ def choices(gripper: str | None, cameras: Sequence[str], statistics: str | None,
     from xpl_cli.basics.errors import UserError
 
     if not given and (gripper or cameras or statistics):
-        message = "--gripper, --camera and --statistics say what a checkpoint leaves open"
+        message = "--gripper, --camera and --statistics complete the facts of a checkpoint"
         raise UserError(message, hint="give its folder with --from")
     return UserChoices(_gripper(gripper), _cameras(cameras), statistics)
 
@@ -122,7 +122,7 @@ def _facts(begun: NewPackage) -> dict[str, Any]:
 
 
 def _next(target: Path, begun: NewPackage) -> list[str]:
-    """Return the commands that follow, ready to be pasted."""
+    """Return the next commands for pasting."""
     import shlex
 
     from xpl_cli.model_io.names import CODE
@@ -153,7 +153,7 @@ def _gripper(text: str | None) -> tuple[float, float] | None:
 
 
 def _cameras(given: Sequence[str]) -> dict[str, str]:
-    """Return the data's name of a camera to the standard's.
+    """Return the mapping of the data's camera names to those of the standard.
 
     Raises:
         UserError: if one is not written NAME=CAMERA.

@@ -1,4 +1,4 @@
-"""What the commands that scaffold a package share: writing it, or saying what would be written, and the report."""
+"""Shared by the commands that scaffold a package: write it or list the changes, and report them."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def report(
     facts: Mapping[str, Any] | None = None,
     lines: Sequence[str] = (),
 ) -> None:
-    """Print what was done and which commands follow, ready to be pasted.
+    """Print the changes and the next commands.
 
     Args:
         files: the package.
@@ -55,14 +55,14 @@ def report(
 
     open_places = adapter.placeholders(files)
     if as_json:
-        told = {
+        answer = {
             "path": str(target),
             "state": state,
             "files": list(files),
             "placeholders": [vars(place) for place in open_places],
             **(facts or {}),
         }
-        console.answer(schema, told, following)
+        console.answer(schema, answer, following)
         return
     console.data(f"{target}: {_SENTENCE[state].format(count=len(files))}, {len(open_places)} places to fill in")
     for line in lines:

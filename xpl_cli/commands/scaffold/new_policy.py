@@ -116,7 +116,7 @@ def _given(**options: Any) -> dict[str, Any]:
 
 
 def _next(target: Path, *, install: bool) -> list[str]:
-    """Return the commands that follow, ready to be pasted."""
+    """Return the next commands for pasting."""
     import shlex
 
     path = shlex.quote(str(target))
@@ -132,7 +132,7 @@ def _is_asked() -> bool:
 
 
 def _ask(given: dict[str, Any]) -> dict[str, Any]:
-    """Ask a person for what was not given."""
+    """Prompt the user for missing values."""
     from xpl_cli.scaffold import adapter
 
     suggested, allowed = adapter.defaults(), adapter.choices()

@@ -1,4 +1,4 @@
-"""`xpl update`: bring an adapter or environment to today's template, with its author's work kept."""
+"""`xpl update`: update an adapter or environment to the current template, and keep its author's edits."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def update(
 
 
 def _own(policy: Path) -> Path:
-    """Return the folder of a package that is the user's to change.
+    """Return the folder of a package that the user may change.
 
     Raises:
         UserError: if it is one that xpl itself comes with.
@@ -63,7 +63,7 @@ def _own(policy: Path) -> Path:
 
 
 def _require_recorded(folder: Path, policy: Path) -> None:
-    """Stop where git has not recorded the state of a package.
+    """Raise if a package has uncommitted changes.
 
     Raises:
         UserError: with the files that differ.
