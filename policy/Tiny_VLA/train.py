@@ -92,8 +92,8 @@ def main() -> None:
         commands, grasp = fit.learn(drawn, rate)
         fit.seconds = time.monotonic() - begun
         if fit.step % LOG_STEPS == 1 or fit.step == steps:
-            told = {"step": fit.step, "commands": commands.item(), "grasp": grasp.item(), "rate": rate}
-            line = json.dumps({**told, "seconds": round(fit.seconds, 1)})
+            losses = {"step": fit.step, "commands": commands.item(), "grasp": grasp.item(), "rate": rate}
+            line = json.dumps({**losses, "seconds": round(fit.seconds, 1)})
             print(line, flush=True)
             with (folder / "log.jsonl").open("a", encoding="utf-8") as log:
                 log.write(f"{line}\n")

@@ -129,7 +129,7 @@ def _takes_text(entry: Entry) -> bool:
 def _deploy_entries(answers: AdapterAnswers, kind: kinds.AdapterKind) -> list[dict[str, str]]:
     """Return the lines of deploy.yml: required keys, keys that locate a checkpoint, and keys of the kind."""
     settings = _settings()
-    answered = {
+    own_values = {
         sdk.Deploy.POLICY_NAME: answers.name,
         sdk.Deploy.ENV_CFG_TYPE: answers.embodiment,
         sdk.Deploy.ACTION_TYPE: answers.action_type,
@@ -137,7 +137,7 @@ def _deploy_entries(answers: AdapterAnswers, kind: kinds.AdapterKind) -> list[di
     keys = [key for key in settings if key in spec.schema("deploy")["required"]]
     keys += [key for key in spec.data("conventions")["checkpoint"]["run_name"] if key not in keys]
     entries = {
-        key: kinds.DeploySetting(answered.get(key, settings[key].get("default")), settings[key]["description"])
+        key: kinds.DeploySetting(own_values.get(key, settings[key].get("default")), settings[key]["description"])
         for key in keys
     }
     return [

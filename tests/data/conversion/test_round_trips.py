@@ -166,7 +166,7 @@ def test_a_run_that_ended_goes_on(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """What is there is not written again, nothing lies at the target before, and the result is that of one run."""
-    monkeypatch.setattr(parallel, "in_processes", lambda each, things, workers: _ended_after_two(each, things))
+    monkeypatch.setattr(parallel, "map_in_processes", lambda each, things, workers: _ended_after_two(each, things))
     with pytest.raises(KeyboardInterrupt):
         converted(libero, tmp_path / "set", "lerobot-v3.0", codec="h264", crf=18)
     monkeypatch.undo()
@@ -185,7 +185,7 @@ def _ended_after_two(each: Any, items: Any) -> Any:
 def test_what_a_format_cannot_hold_is_said(tmp_path: Path, libero: Path, converted: Converted) -> None:
     """One sentence for each, and nothing is left: no rate, other images, a target that is there, a read-only format."""
     source = datasets.robotwin(tmp_path / "robotwin")
-    for to, sentence in (("lerobot-v3.0", "steps per second"), ("xpl", "state/ and action/")):
+    for to, sentence in (("lerobot-v3.0", "steps per second"), ("xpl", "state/ or action/")):
         with pytest.raises(DataError, match=sentence):
             converted(source, tmp_path / "set", to)
     with pytest.raises(DataError, match="no mapping 'nobody'"):

@@ -177,13 +177,13 @@ def _merge_cameras(own: list[Fact | UnknownFact]) -> Fact | UnknownFact:
     if unknown := [camera for camera in own if isinstance(camera, UnknownFact)]:
         return UnknownFact(
             "; ".join(camera.reason for camera in unknown),
-            tuple(seen for camera in unknown for seen in camera.evidence),
+            tuple(evidence for camera in unknown for evidence in camera.evidence),
         )
     facts = [camera for camera in own if isinstance(camera, Fact)]
     if len(facts) == 1:
         return facts[0]
     names = [name for camera in facts for name in camera.value]
-    return likely(names, *(seen for camera in facts for seen in camera.evidence))
+    return likely(names, *(evidence for camera in facts for evidence in camera.evidence))
 
 
 def _vector(vector: VectorSpec, robot: Embodiment | None, choices: UserChoices) -> dict[str, Tree]:

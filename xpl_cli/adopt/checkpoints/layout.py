@@ -171,7 +171,7 @@ class _Slice:
     """Numbers of a vector from an index on."""
 
     numbers: VectorNumbers
-    place: int
+    offset: int
     gripper: tuple[float, float] | None
 
 
@@ -187,7 +187,7 @@ def _part(members: list[_NumberName], arm: Arm, where: Evidence, of: _Slice) -> 
             arm.joint_names is not None and sorted(words) == sorted(arm.joint_names) and words != [*arm.joint_names]
         )
         order = {"names": likely(words, where)} if by_name else {}
-        return {"joints": {"arm": side_fact, **order, "unit": _unit(of.numbers, of.place, arm)}}
+        return {"joints": {"arm": side_fact, **order, "unit": _unit(of.numbers, of.offset, arm)}}
     if kind == "gripper":
         if not is_gripper(arm) or len(members) > 2:
             return None
@@ -262,7 +262,7 @@ def _gripper_ends(of: _Slice, count: int) -> dict[str, Tree]:
     if of.gripper is not None:
         ends = [assumed(value if count == 1 else [value] * count, "given with --gripper") for value in of.gripper]
         return {"closed": ends[0], "open": ends[1]}
-    evidence = () if of.numbers.range is None else (of.numbers.range.of(of.place, count),)
+    evidence = () if of.numbers.range is None else (of.numbers.range.of(of.offset, count),)
     why = "a range has no direction; --gripper CLOSED,OPEN says both"
     return {
         "closed": UnknownFact(f"the model's value of a closed gripper: {why}", evidence),

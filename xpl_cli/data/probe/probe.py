@@ -124,8 +124,8 @@ def _states(own: list[VectorPart], robot: str | None) -> list[ArmState]:
 
 def _new_answers(first: ArmState, others: list[ArmState]) -> list[ProbeAnswer]:
     """Return the answers of an arm's other poses that the first has not."""
-    answered = {(answer.topic, answer.subject) for answer in first.answers}
-    return [answer for one in others for answer in one.answers if (answer.topic, answer.subject) not in answered]
+    first_keys = {(answer.topic, answer.subject) for answer in first.answers}
+    return [answer for one in others for answer in one.answers if (answer.topic, answer.subject) not in first_keys]
 
 
 def _rate(sample: Sample, demonstrations: Demonstrations) -> ProbeAnswer:

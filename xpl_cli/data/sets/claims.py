@@ -140,9 +140,9 @@ class SizeClaims:
             image = 3 * camera.height * camera.width
             self._pixels[episode.video(name) is not None] += episode.length * image
 
-    def _check_limit(self, what: str, claimed: int, most: int) -> None:
-        if claimed > most:
-            amount = f"{claimed} bytes of {what} in the episodes so far"
+    def _check_limit(self, what: str, size: int, most: int) -> None:
+        if size > most:
+            amount = f"{size} bytes of {what} in the episodes so far"
             raise self._error(f"it claims {amount}, files of {self.size} bytes hold {most} at most")
 
     def _error(self, what: str) -> DataError:

@@ -200,10 +200,10 @@ class _LeRobotReader:
             parts = UnknownFact(reason, (self._at("input", name),))
         return VectorSpec(numbers, certain(name, self._at("input", name)), normalize, parts=parts)
 
-    def _numbers(self, which: str, name: str, shape: list[int], held: Statistics | None) -> VectorNumbers:
+    def _numbers(self, which: str, name: str, shape: list[int], processor: Statistics | None) -> VectorNumbers:
         names = self.data.names(name) if self.data else None
         labels = self._action_names() if name == _ACTION and names is None else names
-        within: DataRange | None = held.range(name) if held else None
+        within: DataRange | None = processor.range(name) if processor else None
         within = within or (self.data.range(name) if self.data else None)
         if within is not None and len(within.low) != shape[0]:
             within = None
