@@ -8,7 +8,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.physics.rollout import Inference, PhysicsRollout
+from xpl_cli.audit.physics.rollout import PhysicsInference, PhysicsRollout
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.rounding import rounding_limit
@@ -74,7 +74,7 @@ def _is_rounding(simulation: Simulation, env_index: int) -> bool:
     return _apart(together.inferences[env_index], alone, _rounded(together, alone)) is None
 
 
-def _rounded(rollout: PhysicsRollout, alone: Sequence[Inference]) -> np.ndarray:
+def _rounded(rollout: PhysicsRollout, alone: Sequence[PhysicsInference]) -> np.ndarray:
     """Return the largest floating-point error of each number of an action, (D,)."""
     rows = np.concatenate([query.chunk for query in alone])
     widths = list(rollout.robot.dims(rollout.setup.action_type).values())
@@ -83,7 +83,7 @@ def _rounded(rollout: PhysicsRollout, alone: Sequence[Inference]) -> np.ndarray:
 
 
 def _apart(
-    in_batch: Sequence[Inference], alone: Sequence[Inference], tolerance: float | np.ndarray
+    in_batch: Sequence[PhysicsInference], alone: Sequence[PhysicsInference], tolerance: float | np.ndarray
 ) -> tuple[int, np.ndarray, np.ndarray] | None:
     """Return the first control step at which actions differ, with both actions; None if there is none.
 

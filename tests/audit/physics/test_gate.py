@@ -19,7 +19,7 @@ from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import as_json, render
 from xpl_cli.audit.formats.listing import ReportContext
 from xpl_cli.audit.physics.conventions import mismatches
-from xpl_cli.audit.physics.rollout import Inference
+from xpl_cli.audit.physics.rollout import PhysicsInference
 from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.physics.swaps import CAMERAS, COLOURS, EnvSwap, image_swaps
 from xpl_cli.audit.rules.gates import Gate
@@ -242,9 +242,9 @@ def test_a_fresh_scaffold_is_green_in_physics(arms: int, package: Callable[..., 
 # -- what it is made of ------------------------------------------------------------------------------------------------
 
 
-def queries(action: Callable[[int], np.ndarray], state: WRITTEN) -> list[Inference]:
+def queries(action: Callable[[int], np.ndarray], state: WRITTEN) -> list[PhysicsInference]:
     """Return four questions at one state, answered by chunks of one step."""
-    return [Inference(step, state, action(step)[None].astype(np.float32), 0.0) for step in range(4)]
+    return [PhysicsInference(step, state, action(step)[None].astype(np.float32), 0.0) for step in range(4)]
 
 
 @pytest.fixture

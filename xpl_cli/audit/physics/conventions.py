@@ -21,7 +21,7 @@ from xpl.poses import compose, invert
 if TYPE_CHECKING:
     from xpl.contract import State
     from xpl.embodiment import Arm, Embodiment
-    from xpl_cli.audit.physics.rollout import Inference
+    from xpl_cli.audit.physics.rollout import PhysicsInference
 
 _LEAST_QUERIES = 3
 _JOINTS_APART, _POSES_APART = 0.1, 0.03  # rad, m: nearer to the observed state, there is no mismatch
@@ -62,7 +62,9 @@ class _Convention:
     expressed: Callable[[State, Embodiment, Arm], np.ndarray | None]
 
 
-def mismatches(robot: Embodiment, action_type: str, queries: Sequence[Inference]) -> Iterator[ConventionMismatch]:
+def mismatches(
+    robot: Embodiment, action_type: str, queries: Sequence[PhysicsInference]
+) -> Iterator[ConventionMismatch]:
     """Yield the wrong convention of every arm in a rollout, if one explains all its actions.
 
     Args:

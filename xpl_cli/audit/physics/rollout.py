@@ -47,7 +47,7 @@ StepCallback = Callable[[LoopEnv], None]
 
 
 @dataclass(frozen=True)
-class EpisodeOutcome:
+class PhysicsEpisodeResult:
     """An environment's result of an episode.
 
     Attributes:
@@ -87,7 +87,7 @@ class RecordedObservations:
 
 
 @dataclass(frozen=True)
-class Inference:
+class PhysicsInference:
     """One inference of a rollout.
 
     Attributes:
@@ -121,8 +121,8 @@ class PhysicsRollout:
     setup: RolloutSetup
     robot: Embodiment
     seeds: tuple[int, ...]
-    results: list[EpisodeOutcome] = field(default_factory=list)
-    inferences: list[list[Inference]] = field(default_factory=list)
+    results: list[PhysicsEpisodeResult] = field(default_factory=list)
+    inferences: list[list[PhysicsInference]] = field(default_factory=list)
     commands: list[list[np.ndarray]] = field(default_factory=list)
     corrections: list[list[frozenset[str]]] = field(default_factory=list)
     problem: str | None = None
@@ -178,7 +178,7 @@ class RolloutRunner:
             rollout.problem = self._run_until_end()
         except ClientError as error:
             rollout.problem = str(error)
-        rollout.results = [EpisodeOutcome.read(told) for told in self.env.results()]
+        rollout.results = [PhysicsEpisodeResult.read(told) for told in self.env.results()]
         if rollout.problem is None:
             ends = {result.end_reason for place, result in enumerate(rollout.results) if self.only in (None, place)}
             wrong = sorted(map(str, ends.difference(_SOUND_ENDS)))
@@ -216,7 +216,7 @@ class RolloutRunner:
         for env, obs in zip(running, observations, strict=True):
             flat = np.stack([self._pack_action(action) for action in answers[env]])
             step = len(self.rollout.commands[env])
-            self.rollout.inferences[env].append(Inference(step, obs[sdk.Obs.STATE], flat, seconds))
+            self.rollout.inferences[env].append(PhysicsInference(step, obs[sdk.Obs.STATE], flat, seconds))
         return self._execute(
             {
                 env: answers[env] if self.executed_from is None else self._earlier_chunk(self.executed_from, env)
@@ -276,7 +276,9 @@ class RolloutRunner:
         waited = time.perf_counter() - started
         for env in moved:
             last = self.rollout.inferences[env][-1]
-            self.rollout.inferences[env][-1] = Inference(last.step, last.state, last.chunk, last.seconds + waited)
+            self.rollout.inferences[env][-1] = PhysicsInference(
+                last.step, last.state, last.chunk, last.seconds + waited
+            )
         return str(refused) if isinstance(refused, PolicyServerError) else None
 
     def _step(self, actions: Mapping[int, Action]) -> str | None:

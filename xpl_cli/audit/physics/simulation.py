@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.embodiment import get_embodiment
 from xpl_cli.audit.physics.evaluation_loop import ShortenedEnv
-from xpl_cli.audit.physics.rollout import EpisodeOutcome, PhysicsRollout, RecordedObservations, RolloutRunner
+from xpl_cli.audit.physics.rollout import PhysicsEpisodeResult, PhysicsRollout, RecordedObservations, RolloutRunner
 from xpl_cli.audit.rules.measurements import ENVIRONMENT, RolloutSetup
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.basics.errors import NotFoundError, UserError
@@ -304,7 +304,7 @@ class Simulation:
 
     def run_episodes(
         self, setup: RolloutSetup, seeds: Sequence[int], swap: EnvSwap | None = None
-    ) -> list[EpisodeOutcome]:
+    ) -> list[PhysicsEpisodeResult]:
         """Run whole episodes, several in one batch, and return their results.
 
         Args:
@@ -315,7 +315,7 @@ class Simulation:
         Raises:
             NotRun: if one fails.
         """
-        results: list[EpisodeOutcome] = []
+        results: list[PhysicsEpisodeResult] = []
         with self.probe.served_as(setup.embodiment, setup.action_type) as session:
             for start in range(0, len(seeds), _AT_ONCE):
                 batch = tuple(seeds[start : start + _AT_ONCE])

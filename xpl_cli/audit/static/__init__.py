@@ -1,1 +1,1 @@
-"""What the static gate's rules read: files, syntax trees, shell scripts; nothing is executed."""
+"""Readers for the static gate's rules: files, syntax trees, shell scripts; nothing is executed."""

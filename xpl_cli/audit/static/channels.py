@@ -1,4 +1,4 @@
-"""Where code exchanges red and blue, and whether what it exchanges can have come as BGR."""
+"""Find swaps of red and blue in code, and whether the swapped image may be BGR."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ if TYPE_CHECKING:
     from xpl_cli.audit.static.function import Function
 
 _READS_BGR: Final = frozenset(("imread", "read", "retrieve", "VideoCapture"))
-"""Functions of OpenCV that read standard files and videos, and give BGR."""
+"""Functions of OpenCV that read files and videos, and return BGR."""
 _WANTS_BGR: Final = frozenset(("imwrite", "write", "imencode", "imshow", "VideoWriter"))
 _DECODES: Final = frozenset(("imdecode", "decode_image_bit", "decode_image"))
 _DECODER: Final = re.compile(
     r"(?:^|_)decode\w*_(?:images?|imgs?|frames?|rgb|jpe?g|cameras?)(?:_|$)|(?:images?|imgs?|frames?|jpe?g)_decode"
 )
-"""Helpers' names that say what they decode: `_decode_frame`, `decode_camera_jpeg`."""
+"""Names of helpers that decode images: `_decode_frame`, `decode_camera_jpeg`."""
 _BACKWARDS: Final = frozenset(("[2, 1, 0]", "(2, 1, 0)"))
 _AXES: Final = 3
 _READS_IMAGE: Final = "get_image"
@@ -33,12 +33,12 @@ _IMAGE: Final = re.compile(r"(^|_)(images?|imgs?|rgb|frames?|pixels|colou?rs?)(_
 
 @dataclass(frozen=True)
 class ChannelSwap:
-    """One exchange of the first and the last channel.
+    """One swap of the first and the last channel.
 
     Attributes:
-        claims_bgr: whether the code says that its input is BGR.
-        decoded: whether its input was decoded in the same function, and the code does not ask for BGR.
-        observed: whether its input is certainly an image of an observation, or a parameter that is called one.
+        claims_bgr: whether the code names its input BGR.
+        decoded: whether its input was decoded in the same function, and the code does not convert to BGR.
+        observed: whether its input is certainly an image of an observation, or a parameter named like one.
     """
 
     function: Function
@@ -49,15 +49,15 @@ class ChannelSwap:
 
 
 def channel_swaps(function: Function) -> Iterator[ChannelSwap]:
-    """Yield the exchanges in a function whose input is an image of the standard, as far as can be told.
+    """Yield the swaps in a function whose input is probably an image of the standard.
 
-    Left out: what goes straight to a writer that wants BGR, what was read from a file or video by OpenCV, and what
-    happens only under a condition about "bgr", which is then somebody's setting.
+    Left out: images for a writer that needs BGR, images that OpenCV read from a file or video, and swaps under a
+    condition on "bgr", which is then a setting.
     """
     candidates = [(node, *_swapped_image(node)) for node in function.of(ast.Call, ast.Subscript)]
     candidates = [entry for entry in candidates if entry[1] is not None]
     if not candidates or any(last(called(node)) == "imencode" for node in function.nodes):
-        return  # nothing, or encoded and decoded again, to compress
+        return  # no swap, or a round trip through a codec
     sources = _sources(function)
     for node, image, claims_bgr in candidates:
         if image is None:
@@ -72,12 +72,12 @@ def channel_swaps(function: Function) -> Iterator[ChannelSwap]:
 
 
 def _decodes(name: str) -> bool:
-    """Tell whether a function of this name decodes an image; those that say BGR give it."""
+    """Return whether a function of this name decodes an image to RGB; names with "bgr" do not."""
     return name in _DECODES or (_DECODER.search(name.lower()) is not None and "bgr" not in name.lower())
 
 
 def _swapped_image(node: ast.AST) -> tuple[ast.expr | None, bool]:
-    """Return the image whose channels a node exchanges, and whether the code calls it BGR."""
+    """Return the image whose channels a node swaps, and whether the code names it BGR."""
     if isinstance(node, ast.Call):
         if last(called(node)) == "cvtColor" and len(node.args) > 1:
             code = last(ast.unparse(node.args[1]))
@@ -96,7 +96,7 @@ def _swapped_image(node: ast.AST) -> tuple[ast.expr | None, bool]:
 
 
 def _flipped_image(node: ast.Call) -> ast.expr | None:
-    """Return what `np.flip(image, -1)`, `image.flip(-1)` or `np.take(image, [2, 1, 0], axis=-1)` takes."""
+    """Return the image of `np.flip(image, -1)`, `image.flip(-1)` or `np.take(image, [2, 1, 0], axis=-1)`."""
     name, axes = last(called(node)), {"axis", "dims", "dim"}
     axis_arguments = [keyword.value for keyword in node.keywords if keyword.arg in axes]
     if name == "take" and len(node.args) > 1 and ast.unparse(node.args[1]) in _BACKWARDS:
@@ -133,7 +133,7 @@ def _is_observed(origin: set[str]) -> bool:
 def _sources(function: Function) -> dict[str, set[str]]:
     """Return, for each name, the functions and keys that its value comes from, through other names and loops.
 
-    A parameter that is called an image counts as one of the observation.
+    A parameter named like an image counts as one of the observation.
     """
     images = filter(_IMAGE.search, parameters(function.node))
     origins: dict[str, set[str]] = {name: {_READS_IMAGE} for name in images}

@@ -1,4 +1,4 @@
-"""Edits that rules make of syntax trees: what a fix puts in the place of an expression."""
+"""Edits of Python code for fixes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def replace_node(source: Source, file: str, node: ast.AST, text: str) -> Edit:
-    """Return the edit that puts a text in the place of a node."""
+    """Return the edit that replaces a node by a text."""
     at = source.at(file, node)
     return Edit(file, at["line"], at["column"], at["end_line"], at["end_column"], text)
 
@@ -23,6 +23,6 @@ def source_segment(source: Source, file: str, node: ast.AST) -> str:
 
 
 def same_quotes(source: Source, file: str, node: ast.AST, text: str) -> str:
-    """Return a string literal in the quotes that a literal of the file has."""
+    """Return a string literal with the same quotes as a literal of the file."""
     quote = "'" if source_segment(source, file, node).endswith("'") else '"'
     return f"{quote}{text}{quote}"

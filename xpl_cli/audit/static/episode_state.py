@@ -1,4 +1,4 @@
-"""What an adapter remembers between calls: which attributes its operations write, read, and forget at reset."""
+"""The state that an adapter keeps between calls: attributes that its operations write, read, and clear at reset."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _BOOKKEEPING: Final = re.compile(
 _REPORTS: Final = re.compile(
     r"(?:^|_|\b)(?:c|e|f|p|pp|r|w)?print(?:ln|_exc)?(?:_|$)|(?:^|_)(?:log|warn|warning|info|debug|critical|notice|tprint)(?:_|$)"
 )
-"""Names of functions that tell something and change nothing, one's own too: `cprint`, `log_once`, `_warn`."""
+"""Names of functions that print or log: `cprint`, `log_once`, `_warn`."""
 
 
 def mentioned_attributes(functions: list[Function]) -> set[str]:
-    """Return every attribute of `self` that these functions name; a reset that names one is believed to reset it."""
+    """Return every attribute of `self` that these functions mention; a reset counts as clearing those."""
     return {
         node.attr
         for function in functions
@@ -34,7 +34,7 @@ def mentioned_attributes(functions: list[Function]) -> set[str]:
 
 
 def read_attributes(functions: list[Function]) -> set[str]:
-    """Return every attribute of `self` whose value these functions use, other than to report it or to change it."""
+    """Return every attribute of `self` whose value these functions use, except to log or modify it."""
     getattr_names = {
         str(node.args[1].value)
         for function in functions
@@ -59,9 +59,9 @@ def read_attributes(functions: list[Function]) -> set[str]:
 
 
 def is_memo(write: Write) -> bool:
-    """Tell whether a write fills a cache: it happens only where the entry or the value is missing.
+    """Return whether a write fills a cache: it runs only if the entry or the value is missing.
 
-    Such an attribute holds what is computed anew just the same; it need not be forgotten.
+    Recomputing such an attribute gives the same value, so it need not be cleared.
     """
     inner: ast.AST = write.node
     for ancestor in enclosing(write.node, write.function.up):
@@ -76,9 +76,9 @@ def is_memo(write: Write) -> bool:
 
 
 def _missing_checks(test: ast.expr, kind: Kind) -> set[str]:
-    """Return the attributes whose absence a test asks for: `x not in self.a`, `self.a is None`, `not self.a`.
+    """Return the attributes whose absence a test checks: `x not in self.a`, `self.a is None`, `not self.a`.
 
-    A list that is filled where it is empty is no cache but a queue: of what grows, only a missing key counts.
+    A list that is filled when it is empty is a queue and not a cache: for growing attributes only a missing key counts.
     """
     attributes: set[str | None] = set()
     for node in ast.walk(test):
@@ -96,7 +96,7 @@ def _missing_checks(test: ast.expr, kind: Kind) -> set[str]:
 
 
 def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
-    """Tell whether a mention is the object of a call that only changes it, as in `self.a.append(x)`."""
+    """Return whether an attribute is only modified by a call, as in `self.a.append(x)`."""
     method = function.up.get(node)
     call = function.up.get(method) if isinstance(method, ast.Attribute) else None
     if isinstance(call, ast.Call) and call.func is method and isinstance(method, ast.Attribute):
@@ -106,7 +106,7 @@ def _is_only_changed(node: ast.Attribute, function: Function) -> bool:
 
 
 def is_reported(node: ast.AST, function: Function) -> bool:
-    """Tell whether a mention only decides what is printed or logged."""
+    """Return whether a node only affects what is printed or logged."""
     inner = node
     for ancestor in enclosing(node, function.up):
         if _REPORTS.search(last(called(ancestor))) or isinstance(ancestor, ast.Raise):
@@ -120,7 +120,7 @@ def is_reported(node: ast.AST, function: Function) -> bool:
 
 
 def only_reports(statement: ast.stmt) -> bool:
-    """Tell whether a statement prints or logs, going by the name of what it calls, and does nothing else."""
+    """Return whether a statement only prints or logs, judged by the name of the function that it calls."""
     if isinstance(statement, ast.Pass):
         return True
     if not isinstance(statement, ast.Expr) or isinstance(statement.value, ast.Constant):

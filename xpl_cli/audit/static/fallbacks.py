@@ -1,4 +1,4 @@
-"""Where code puts zeros in place of something that is missing."""
+"""Find zeros that code uses in place of a missing value."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ _MAKERS: Final = frozenset(("zeros", "zeros_like", "full", "ones", "new"))
 
 @dataclass(frozen=True)
 class ZeroFallback:
-    """Zeros that stand in for a missing value.
+    """Zeros in place of a missing value.
 
     Attributes:
-        node: the expression that makes them.
-        missing: what is missing, as it is written.
-        read: name of the map that it was read from, with () where a function read it, "" where that is not known.
+        node: the expression that creates them.
+        missing: the missing value, as it is written.
+        read: name of the dict that it was read from, with () if a function read it, "" if unknown.
         is_image: whether they have the shape or the type of an image.
-        is_masked: whether the same branch tells a mask that the value is missing.
+        is_masked: whether the same branch sets a mask for the missing value.
     """
 
     function: Function
@@ -36,7 +36,7 @@ class ZeroFallback:
 
 
 def zero_fallbacks(function: Function) -> Iterator[ZeroFallback]:
-    """Yield the zeros that a function puts where a look-up in a map found nothing."""
+    """Yield the zeros that a function uses if a look-up in a dict fails."""
     sources = _lookup_results(function)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in {"get", "pop"}:
@@ -62,7 +62,7 @@ def zero_fallbacks(function: Function) -> Iterator[ZeroFallback]:
 def _branches(
     function: Function, test: ast.expr, body: Sequence[ast.AST], orelse: Sequence[ast.AST], sources: dict[str, str]
 ) -> Iterator[ZeroFallback]:
-    """Yield zeros in the branch of a test that is taken where something is missing."""
+    """Yield zeros in the branch of a test that runs if a value is missing."""
     for what, read, is_missing in _missing_tests(test, sources):
         branch = body if is_missing else orelse
         is_masked = any(
@@ -78,7 +78,7 @@ def _identifiers(node: ast.AST) -> set[str]:
 
 
 def _missing_tests(test: ast.expr, sources: dict[str, str]) -> Iterator[tuple[str, str, bool]]:
-    """Yield what a test asks for, the map it comes from, and whether the test is true where it is missing."""
+    """Yield the value that a test looks for, its dict, and whether the test is true if it is missing."""
     if isinstance(test, ast.BoolOp):
         for value in test.values:
             yield from _missing_tests(value, sources)
@@ -92,7 +92,7 @@ def _missing_tests(test: ast.expr, sources: dict[str, str]) -> Iterator[tuple[st
 
 
 def _lookup_results(function: Function) -> dict[str, str]:
-    """Return the names that hold what a look-up found, or a function made of one, with the map they come from."""
+    """Return the names assigned from a look-up, directly or by a function, with the dict they come from."""
     sources: dict[str, str] = {}
     for node in function.nodes:
         value = getattr(node, "value", None)
@@ -108,7 +108,7 @@ def _lookup_results(function: Function) -> dict[str, str]:
 def _map_of(value: ast.expr) -> str:
     if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in {"get", "pop"}:
         return dotted(value.func.value)
-    if isinstance(value, ast.Call):  # extract(observation, key): a function that may find nothing
+    if isinstance(value, ast.Call):  # extract(observation, key): a function that may return nothing
         return next((f"{argument.id}()" for argument in value.args if isinstance(argument, ast.Name)), "")
     if isinstance(value, ast.IfExp):
         return _map_of(value.body) or _map_of(value.orelse)
@@ -130,7 +130,7 @@ def _zeros_in_branch(body: Sequence[ast.AST]) -> Iterator[ast.Call]:
 
 
 def _zeros_call(value: ast.expr) -> ast.Call | None:
-    """Return the call that makes zeros, if a value is nothing else, possibly converted."""
+    """Return the call that creates zeros, if a value is only that, possibly converted."""
     while isinstance(value, ast.Call):
         name = called(value)
         if last(name) in _MAKERS and name.partition(".")[0] in {"np", "numpy", "torch", "jnp", "Image"}:
@@ -148,7 +148,7 @@ def _zeros_call(value: ast.expr) -> ast.Call | None:
 
 
 def _is_image(zeros: ast.Call) -> bool:
-    """Tell whether zeros have the shape (H, W, 3) or (3, H, W), or are bytes."""
+    """Return whether zeros have the shape (H, W, 3) or (3, H, W), or are bytes."""
     if called(zeros).startswith("Image."):
         return True
     shape = zeros.args[0] if zeros.args else None

@@ -1,4 +1,4 @@
-"""Reads one file of a package that may hold anything: a pipe, a link that leads away, bytes in no encoding."""
+"""Read one file of an untrusted package: it may be a pipe, a link to outside, or bytes in no encoding."""
 
 from __future__ import annotations
 
@@ -19,31 +19,31 @@ if TYPE_CHECKING:
 
 _ASCII: Final = bytes(range(0x20, 0x7F)).replace(b"\\", b"") + b"\t\n\r\\x41~{+AGE-.xn--4ca"
 SIZE_LIMIT: Final = 2 * 1024 * 1024
-"""Files beyond this many bytes are data, not source."""
+"""Files larger than this, in bytes, are data and not source."""
 
 _TEXT: Final = frozenset((".py", ".sh", ".yml", ".yaml", ".md", ".toml", ".txt", ".cfg", ".json"))
 _DOCUMENTS: Final = frozenset(("authors", "changelog", "citation", "contributing", "license", "notice", "readme"))
 
 
 def is_text(name: str) -> bool:
-    """Tell whether a file is text by its suffix."""
+    """Return whether a file is text by its suffix."""
     return PurePath(name).suffix in _TEXT
 
 
 def is_document(name: str) -> bool:
-    """Tell whether a file is for readers only; of a package that acts by one all the same, the answers show it."""
+    """Return whether a file is documentation, which does not affect the adapter's behaviour."""
     stem, _, suffix = name.rpartition("/")[2].lower().rpartition(".")
     return suffix == "md" or (suffix == "txt" and stem in _DOCUMENTS)
 
 
 @dataclass(frozen=True)
 class FileText:
-    """What a file holds.
+    """The content of a file.
 
     Attributes:
         content: its bytes.
-        text: what they say; undecodable ones are replaced.
-        encoding_error: why Python refuses them, if it is a Python file; None if it takes them.
+        text: the decoded text; undecodable bytes are replaced.
+        encoding_error: why Python cannot decode them, if it is a Python file; else None.
     """
 
     content: bytes
@@ -52,19 +52,19 @@ class FileText:
 
 
 def read_text(package: Path, name: str) -> FileText:
-    """Return what a file of a package holds.
+    """Return the content of a file of a package.
 
     Args:
         package: the package's folder, resolved.
         name: the file, relative to the folder.
 
     Raises:
-        NotRun: if there is no such file or it may not be read, if it is too large, or lies outside of the package.
+        NotRun: if the file does not exist, may not be read, is too large, or is outside of the package.
     """
     try:
         if resolve_inside(package, name) is None and (package / name).is_file():
-            raise NotRun(f"{name} is a link that leads out of the package, and is not followed")
-        # A pipe that took the file's place meanwhile is opened without waiting for its writer.
+            raise NotRun(f"{name} is a link to outside the package, and is not followed")
+        # If a pipe replaced the file meanwhile, opening it must not wait for a writer.
         handle = os.open(package / name, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
     except PermissionError as error:
         raise NotRun(f"{name} may not be read: {error.strerror}") from None
@@ -83,9 +83,9 @@ def read_text(package: Path, name: str) -> FileText:
 
 
 def resolve_inside(package: Path, name: str) -> str | None:
-    """Return a file's name in its package with all links followed; None if it is no file, or lies elsewhere.
+    """Return a file's name in its package with all links followed; None if it is no file, or outside.
 
-    Two names of one file give one answer, so that a folder that links to itself has no more files than it holds.
+    Two names of one file give one result, so that a folder that links to itself is not counted twice.
     """
     try:
         file = (package / name).resolve()
@@ -95,10 +95,10 @@ def resolve_inside(package: Path, name: str) -> str | None:
 
 
 def decode_text(data: bytes, *, python: bool) -> tuple[str, str | None]:
-    """Return the text of a file, and why Python would refuse it; undecodable bytes are replaced.
+    """Return the text of a file, and why Python could not decode it; undecodable bytes are replaced.
 
     Args:
-        data: what the file holds.
+        data: the file's bytes.
         python: whether the encoding that a Python file declares counts.
     """
     encoding, problem = "utf-8", None
@@ -117,7 +117,7 @@ def decode_text(data: bytes, *, python: bool) -> tuple[str, str | None]:
 
 
 def _require_ascii(encoding: str) -> None:
-    """Refuse an encoding that does not leave ASCII as it is: punycode, idna, escapes and UTF-7 hide what people read.
+    """Refuse an encoding that does not preserve ASCII: punycode, idna, escapes and UTF-7 hide code from readers.
 
     Some of those cannot replace what does not decode, either, or take a time that grows with the square of the size.
 
@@ -129,11 +129,11 @@ def _require_ascii(encoding: str) -> None:
             return
     except UnicodeError:
         pass
-    raise LookupError(f"{encoding} is no encoding for source: in it, ASCII stands for something else")
+    raise LookupError(f"{encoding} is no encoding for source: it does not preserve ASCII")
 
 
 def parse_yaml(content: bytes) -> tuple[yaml_text.YamlDocument, tuple[str, int, int] | None]:
-    """Return what YAML holds, and why it does not parse, with line and column."""
+    """Return a YAML document, and why it does not parse, with line and column."""
     import yaml
 
     nothing = yaml_text.YamlDocument(None, None)

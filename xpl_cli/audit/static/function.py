@@ -1,4 +1,4 @@
-"""Functions of an adapter as a reader sees them: their nodes, and which attributes of `self` they change."""
+"""Functions of an adapter: their nodes, and the attributes of `self` that they change."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _Node = TypeVar("_Node", bound=ast.AST)
 GROWING: Final = frozenset(
     ("append", "appendleft", "extend", "extendleft", "insert", "add", "update", "put", "push", "setdefault")
 )
-"""Methods that add to what an object holds."""
+"""Methods that add to a container."""
 
 Kind = Literal["assigned", "keyed", "grown"]
 
 
 @dataclass(frozen=True)
 class Function:
-    """A function or method and where it stands."""
+    """A function or method and its file."""
 
     file: str
     node: FunctionNode
@@ -53,7 +53,7 @@ class Function:
 
     @cached_property
     def writes(self) -> tuple[Write, ...]:
-        """Where it changes attributes of `self`."""
+        """Its changes of attributes of `self`."""
         return tuple(writes([self]))
 
     @cached_property
@@ -64,10 +64,10 @@ class Function:
 
 @dataclass(frozen=True)
 class Write:
-    """One place where a method changes an attribute.
+    """One change of an attribute by a method.
 
     Attributes:
-        kind: `assigned` anew, `keyed` (one entry of it), or `grown` (changed in a way that depends on what was there).
+        kind: `assigned`, `keyed` (one entry is set), or `grown` (modified depending on its value).
     """
 
     attribute: str
@@ -77,7 +77,7 @@ class Write:
 
     @property
     def line(self) -> int:
-        """Where it stands in its file."""
+        """Its line in the file."""
         return self.node.lineno
 
 
@@ -99,14 +99,14 @@ def writes(functions: list[Function]) -> Iterator[Write]:
 
 
 def _entry_of(node: ast.expr) -> ast.expr:
-    """Return the map that holds what a look-up with a default gives: `self.x` of `self.x.setdefault(k, [])`."""
+    """Return the dict of a look-up with a default: `self.x` of `self.x.setdefault(k, [])`."""
     while isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "setdefault":
         node = node.func.value
     return node
 
 
 def _has_key(node: ast.expr) -> bool:
-    """Tell whether an entry of the attribute is meant: `self.x[k]`, `self.x[k].y`, `self.x.setdefault(k, [])`."""
+    """Return whether a node is an entry of the attribute: `self.x[k]`, `self.x[k].y`, `self.x.setdefault(k, [])`."""
     return any(
         isinstance(child, ast.Subscript)
         or (isinstance(child, ast.Call) and last(called(child)) in {"setdefault", "get"})
@@ -116,7 +116,7 @@ def _has_key(node: ast.expr) -> bool:
 
 @dataclass(frozen=True)
 class Symbols:
-    """What the names of one file mean, as far as the boundary defines it."""
+    """The classes and functions of the boundary by their names in one file."""
 
     classes: dict[str, tuple[str, ast.ClassDef]] = field(default_factory=dict)
     functions: dict[str, Function] = field(default_factory=dict)

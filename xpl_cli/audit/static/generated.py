@@ -1,4 +1,4 @@
-"""Files of a package that were generated: what its lock says of them, which were edited, and how they were rendered."""
+"""Generated files of a package: their lock, which were edited, and their rendered content."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ if TYPE_CHECKING:
     from xpl_cli.audit.static.source import Source
 
 LOCK = lock.PATH
-"""The file that tells which files are generated."""
+"""The file that lists the generated files."""
 
 
 def read(source: Source) -> lock.Lock:
-    """Return what the lock of a package says.
+    """Return the parsed lock of a package.
 
     Raises:
-        UserError: if it is not what xpl wrote.
+        UserError: if it is invalid.
     """
     return lock.parse(source.text(LOCK), LOCK)
 
 
 def edited_files(source: Source, lock_file: lock.Lock) -> list[str]:
-    """Return the generated files that are there and not as they were rendered; those that are free may be otherwise."""
+    """Return the generated files that exist and were edited; `free` files may be edited."""
     names = [name for name in lock_file.generated if name not in lock_file.free and source.has(name)]
     return [name for name in names if lock.digest(source.text(name).encode()) != lock_file.generated[name]]
 
 
 def rendered_files(source: Source) -> dict[str, bytes]:
-    """Return the files of a package as they were rendered, as far as it still tells."""
+    """Return the rendered content of a package's files, as far as it is stored."""
     for_editors = {schemas.path(name): schemas.render(name) for name in schemas.MANIFESTS}
     try:
         files = lock.parse_rendered(source.text(lock.RENDERED)) if source.has(lock.RENDERED) else {}
@@ -41,13 +41,13 @@ def rendered_files(source: Source) -> dict[str, bytes]:
 
 
 def restore_edit(source: Source, name: str, content: bytes | None, digest: str) -> Edit | None:
-    """Return the edit that brings a file back as it was; None where nobody knows how that was.
+    """Return the edit that restores a file; None if its rendered content is unknown.
 
     Args:
         source: the package.
         name: the file.
-        content: how it was rendered, None where nothing tells.
-        digest: of how it was rendered, as the lock has it.
+        content: the rendered content, or None.
+        digest: digest of the rendered content in the lock.
     """
     if content is None or lock.digest(content) != digest:
         return None

@@ -1,4 +1,4 @@
-"""Which modules of its own package a Python file imports."""
+"""Imports of a Python file from its own package."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def own_imports(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str,
 
 
 def _file(package: Path, module: str, level: int, here: str) -> str | None:
-    """Return the file of a module that an import names, if it is the package's own."""
+    """Return the file of an imported module, if it is the package's own."""
     base = Path(here)
     for _ in range(level - 1):
         if base == Path():

@@ -1,6 +1,6 @@
-"""What reference.py takes from the adapter that it is to be a second reading of: xpl, model.py, the model_io block.
+"""Find code of the adapter that reference.py uses: xpl, model.py, the model_io block.
 
-Whoever wants to hide it from a reader can, and recording sees what is imported. This tells those who did not know.
+An author can hide a use from this reader; recording also checks the imported modules. This finds unintended uses.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ _MOST_FILES = 5000
 
 @dataclass(frozen=True)
 class AdapterUse:
-    """One thing that is taken.
+    """One use of the adapter by reference.py.
 
     Attributes:
-        what: what it is: "xpl", "model.py" or "policy.yml".
-        by: how it is taken.
-        place: where, for a `Finding`.
+        what: "xpl", "model.py" or "policy.yml".
+        by: how it is used.
+        location: its location, for a `Finding`.
     """
 
     what: str
@@ -40,7 +40,7 @@ class AdapterUse:
 
 
 def adapter_uses(source: Source) -> Iterator[AdapterUse]:
-    """Yield all that reference.py, and the package's own files that it imports, take from the adapter."""
+    """Yield the uses of the adapter by reference.py, and by the package's own files that it imports."""
     for file in source.reached(names.CODE):
         if file == sdk.File.MODEL_PY or not source.parses(file):
             continue
@@ -55,7 +55,7 @@ def adapter_uses(source: Source) -> Iterator[AdapterUse]:
 
 
 def location_of(source: Source, name: str, place: SourceRange) -> Location:
-    """Return a place of a Python file for a `Finding`."""
+    """Return a place in a Python file as the location of a `Finding`."""
     node = ast.Pass(
         lineno=place.line, col_offset=place.column, end_lineno=place.end_line, end_col_offset=place.end_column
     )
@@ -63,7 +63,7 @@ def location_of(source: Source, name: str, place: SourceRange) -> Location:
 
 
 def _imported_part(source: Source, file: str, item: Import) -> str | None:
-    """Return what of the adapter an import takes."""
+    """Return the part of the adapter that an import refers to, or None."""
     if item.takes_sdk:
         return "xpl"
     if item.level:
@@ -77,6 +77,6 @@ def _imported_part(source: Source, file: str, item: Import) -> str | None:
 
 
 def _has_other_model_module(source: Source) -> bool:
-    """Tell whether the package holds a module `model` besides its own, such as that of the authors' code."""
+    """Return whether the package has another module `model`, such as that of the authors' code."""
     folders = ((folder, inner, files) for folder, inner, files in os.walk(source.path) if folder != str(source.path))
     return any(sdk.File.MODEL_PY in files or _MODEL in inner for _, inner, files in islice(folders, _MOST_FILES))

@@ -1,4 +1,4 @@
-"""Which entry of an observation or a trajectory an expression stands for, as far as its keys are constants."""
+"""The entry of an observation or a trajectory that an expression reads, if its keys are constants."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.static.function import Function
 
 Path = tuple[str | None, ...]
-"""Keys from the outermost to the innermost; None for a key that is made at run time."""
+"""Keys from the outermost to the innermost; None for a key that is computed at run time."""
 
 GROUPS: Final = frozenset((sdk.Obs.VISION, sdk.Obs.STATE, "action"))
 _NEAR: Final = 0.85
@@ -24,7 +24,7 @@ _DEEPEST: Final = 8
 
 @dataclass(frozen=True)
 class LeafRead:
-    """A place that reads a leaf: `data["state"]["ee_pose"]`, `camera.get("color")`, `root["/state/ee_pose"]`.
+    """An expression that reads a leaf: `data["state"]["ee_pose"]`, `camera.get("color")`, `root["/state/ee_pose"]`.
 
     Attributes:
         node: the expression.
@@ -59,19 +59,19 @@ def leaf_reads(function: Function) -> Iterator[LeafRead]:
 
 
 def closest_name(name: str, valid_names: Iterable[str]) -> str | None:
-    """Return the known name that a name is a misspelling of, None if it is one of them or resembles none."""
+    """Return the valid name that a name resembles; None if it is valid itself or resembles none."""
     valid_names = tuple(valid_names)
     matches = difflib.get_close_matches(name, valid_names, n=1, cutoff=_NEAR)
     return matches[0] if matches and name not in valid_names else None
 
 
 def is_number(name: str, other: str) -> bool:
-    """Tell whether two names are singular and plural of one word."""
+    """Return whether two names are singular and plural of one word."""
     return name.removesuffix("s") == other.removesuffix("s")
 
 
 def _read(node: ast.AST) -> tuple[ast.expr, ast.expr, ast.expr] | None:
-    """Return owner, key and whole of a look-up that reads."""
+    """Return owner, key and node of a look-up that reads."""
     if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load):
         return node.value, node.slice, node
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "get" and node.args:
@@ -105,7 +105,7 @@ def _path(node: ast.expr, origins: dict[str, tuple[ast.expr, Path]], depth: int 
 
 
 def _origins(function: Function) -> dict[str, tuple[ast.expr, Path]]:
-    """Return what each local name stands for: an expression, and what is taken out of it. Loops take any entry."""
+    """Return the expression and keys that each local name was assigned from. Loops read any entry."""
     origins: dict[str, tuple[ast.expr, Path]] = {}
     for node in function.of(ast.Assign, ast.For, ast.comprehension):
         if isinstance(node, ast.Assign) and len(node.targets) == 1 and isinstance(node.targets[0], ast.Name):

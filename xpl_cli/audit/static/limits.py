@@ -1,7 +1,7 @@
-"""What the static gate reads at most: beyond these bounds a file is data, or an attack, and no source.
+"""Limits of the static gate: a file beyond them is data, or an attack, and no source code.
 
-They bound the time and the memory of every rule, because rules walk trees and lists that came through here. A file
-beyond a bound is a finding of the rule `parses`; rules that need it are not run.
+They bound the time and the memory of every rule, because rules walk only trees and lists within them. A file beyond a
+limit is a finding of the rule `parses`; rules that need it are not run.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from typing import Final
 MOST_NODES: Final = 250_000
 """Nodes of the syntax tree of one Python file."""
 MOST_LEVELS: Final = 200
-"""Levels of a syntax tree: what takes more overflows the stack of whoever reads it."""
+"""Levels of a syntax tree: deeper ones overflow the stack of a reader."""
 MOST_PYTHON: Final = 4 << 20
 """Characters of all Python files of a package: their trees take fifty times as much memory, and more."""
 MOST_TEXT: Final = 64 << 20
 """Bytes of all files of a package that are read as text."""
 LONGEST_S: Final = 120.0
-"""Processor time, in seconds, that all rules of the gate may take on one package: a hundred times what they do take."""
+"""Processor time of all rules of the gate on one package, s: a hundred times the usual time."""
 
 
 class TooMuchError(ValueError):
-    """A file is larger or deeper than any that a person wrote; the argument says how."""
+    """A file is larger or deeper than any source code; the argument says how."""
 
 
 class TooLong(BaseException):
-    """A rule was not done in time. No rule catches it by mistake: it is no `Exception`."""
+    """A rule exceeded the time limit. It is no `Exception`, so that no rule catches it by mistake."""
 
 
 def bounded_nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
@@ -55,13 +55,13 @@ def bounded_nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
 
 @contextmanager
 def deadline(seconds: float = LONGEST_S) -> Iterator[None]:
-    """End what takes more processor time, where the system can: in the main thread of a POSIX process.
+    """Limit the processor time of a block, in the main thread of a POSIX process.
 
     Args:
-        seconds: how much there is; 0 or less ends at once.
+        seconds: the limit; 0 or less raises at once.
 
     Raises:
-        TooLong: in what takes longer.
+        TooLong: in a block that takes longer.
     """
     if seconds <= 0:
         raise TooLong

@@ -1,8 +1,8 @@
-"""What general tools say about an adapter's own files: ruff and mypy.
+"""Messages of ruff and mypy on an adapter's own files.
 
-Both are given a copy of the boundary in an empty folder, as the audit has read it. So they see no configuration, plugin
-or stub that lies beside the adapter, follow no import into a vendored tree, and their places fit the text that fixes
-are applied to. Neither executes what it reads. Their words depend on their version, and are therefore never cached.
+Both run on a copy of the boundary in an empty folder, as the audit has read it. So they read no configuration, plugin
+or stub beside the adapter, follow no import into vendored code, and their locations match the text that fixes edit.
+Neither executes what it reads. Their messages depend on their version, and are therefore never cached.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ if TYPE_CHECKING:
     from xpl_cli.audit.static.source import Source
 
 _SELECTED: Final = (
-    "F",  # names that do not exist, values that nobody reads
+    "F",  # undefined names, unused values
     "B",  # likely bugs: mutable defaults, closures over loop variables
-    "PLE",  # what fails when it is reached
+    "PLE",  # code that fails when it runs
     "NPY",  # the global random state, names that numpy has removed
     "S301",  # unpickling
     "S506",  # loading YAML that can construct objects
 )
 _IGNORED: Final = (
-    "F403",  # star imports: XPL107 tells what they cost
+    "F403",  # star imports: see XPL107
     "F405",
-    "F541",  # an f-string without a value does what it says
-    "B007",  # an unused loop variable hurts nobody
-    "B028",  # where a warning seems to come from
-    "B904",  # how a traceback reads
-    "B905",  # `zip(strict=)` is younger than the Python of many policies
+    "F541",  # an f-string without a value is harmless
+    "B007",  # an unused loop variable is harmless
+    "B028",  # the stack level of a warning
+    "B904",  # the form of a traceback
+    "B905",  # `zip(strict=)` is newer than the Python of many policies
 )
 _RUFF: Final = (
     *("check", "--isolated", "--no-cache", "--no-fix", "--exit-zero", "--output-format", "json"),
@@ -49,24 +49,24 @@ _MYPY: Final = (
     *("--config-file=", "--no-incremental", f"--cache-dir={os.devnull}", "--no-site-packages"),
     *("--ignore-missing-imports", "--follow-imports=silent", "--check-untyped-defs", "--no-error-summary"),
     *("--explicit-package-bases", "--namespace-packages", "--disable-error-code", "var-annotated"),
-    # Attributes that are None until `load` fills them are the rule here, and nine in ten findings without this.
+    # Attributes that are None until `load` are usual here, and nine in ten findings without this.
     "--no-strict-optional",
     *("--output", "json"),
 )
 _SDK: Final = "xpl"
 _PATIENCE: Final = 90.0
-"""Seconds until a tool is given up."""
+"""Timeout of a tool, s."""
 
 
 @dataclass(frozen=True)
 class ToolMessage:
-    """One thing that a tool says.
+    """One message of a tool.
 
     Attributes:
-        tool, rule: the tool, and its own code.
-        message: its sentence.
-        path, line, column, end_line, end_column: where; 1-based, columns in characters.
-        fix: what it offers to do.
+        tool, rule: the tool, and its own rule code.
+        message: the text.
+        path, line, column, end_line, end_column: its location; 1-based, columns in characters.
+        fix: the tool's suggestion.
     """
 
     tool: str
@@ -89,7 +89,7 @@ class ToolMessage:
             column=self.column,
             end_line=self.end_line,
             end_column=self.end_column,
-            expected=f"code that {self.tool} has nothing to say about",
+            expected=f"code without messages of {self.tool}",
             got=lines[self.line - 1].strip()[:80] if self.line <= len(lines) else "",
             evidence={"tool": self.tool, "rule": self.rule},
             fix=self.fix,
@@ -97,7 +97,7 @@ class ToolMessage:
 
 
 def ruff(source: Source) -> tuple[ToolMessage, ...]:
-    """Return what ruff says, in order of place.
+    """Return the messages of ruff, in order of location.
 
     Raises:
         NotRun: if it does not answer.
@@ -108,11 +108,11 @@ def ruff(source: Source) -> tuple[ToolMessage, ...]:
         try:
             return _sorted(_parse_ruff(entry, folder) for entry in json_text.parse(output) if entry["code"])
         except (ValueError, KeyError, TypeError) as error:
-            raise NotRun(f"ruff answers in a form that is not known here: {error}") from None
+            raise NotRun(f"the output of ruff has an unknown form: {error}") from None
 
 
 def mypy(source: Source) -> tuple[ToolMessage, ...]:
-    """Return what mypy says, in order of place. Untyped functions are looked into; other packages count as untyped.
+    """Return the errors of mypy, in order of location. Untyped functions are checked; other packages count as untyped.
 
     Raises:
         NotRun: if it does not answer.
@@ -127,12 +127,12 @@ def mypy(source: Source) -> tuple[ToolMessage, ...]:
             errors = (entry for entry in entries if entry["severity"] == "error" and entry["file"] in files)
             return _sorted(_parse_mypy(entry, files[entry["file"]]) for entry in errors)
         except (ValueError, KeyError, TypeError) as error:
-            raise NotRun(f"mypy answers in a form that is not known here: {error}") from None
+            raise NotRun(f"the output of mypy has an unknown form: {error}") from None
 
 
 @contextmanager
 def _copy_python_files(source: Source) -> Iterator[tuple[Path, list[str]]]:
-    """Copy the boundary's Python files that parse; give the copy's folder and their names."""
+    """Copy the boundary's Python files that parse; yield the copy's folder and their names."""
     names = [name for name in source.python_files if source.parses(name)]
     if not names:
         raise NotApplicable("no Python file of the adapter parses")
@@ -173,7 +173,7 @@ def _run_tool(tool: str, arguments: list[str], folder: Path) -> str:
         raise NotRun(f"{tool} has not ended after {_PATIENCE:.0f} s") from None
     except OSError as error:
         raise NotRun(f"{tool} cannot be started: {error}") from None
-    # What Python itself cannot start ends with 1 as findings do, and prints nothing.
+    # If Python cannot start the tool, the exit code is 1 as with findings, but nothing is printed.
     if process.returncode not in {0, 1} or (process.returncode and not process.stdout):
         error_lines = (process.stderr or process.stdout).strip().splitlines()
         raise NotRun(f"{tool} fails: {error_lines[-1] if error_lines else f'exit code {process.returncode}'}")
@@ -181,7 +181,7 @@ def _run_tool(tool: str, arguments: list[str], folder: Path) -> str:
 
 
 def _sdk(folder: Path) -> Path:
-    """Return a folder in which the SDK, which has types, is all that can be imported."""
+    """Return a folder from which only the SDK, which has types, can be imported."""
     import xpl
 
     folder.mkdir()
@@ -203,7 +203,7 @@ def _parse_ruff(entry: Entry, folder: Path) -> ToolMessage:
 
 
 def _fix(ruff_fix: Entry | None, rule: str, path: str) -> Fix:
-    """Return ruff's own edit, as far as it calls it safe or unsafe, and not for display only."""
+    """Return ruff's own edit if it is safe or unsafe, and not for display only."""
     kind = {"safe": "safe_edit", "unsafe": "unsafe_edit"}.get(ruff_fix["applicability"]) if ruff_fix else None
     if ruff_fix is None or kind is None:
         return Fix("advice", f"`ruff rule {rule}` explains it")
@@ -218,12 +218,12 @@ def _fix(ruff_fix: Entry | None, rule: str, path: str) -> Fix:
         )
         for edit in ruff_fix["edits"]
     )
-    return Fix(kind, ruff_fix["message"] or f"what ruff offers for {rule}", edits)
+    return Fix(kind, ruff_fix["message"] or f"ruff's fix for {rule}", edits)
 
 
 def _parse_mypy(entry: Entry, path: str) -> ToolMessage:
     line, column = int(entry["line"]), int(entry["column"]) + 1
-    hint = entry.get("hint") or "say what the value is by an annotation or a check, or correct it"
+    hint = entry.get("hint") or "declare the type by an annotation or a check, or correct the value"
     return ToolMessage(
         tool="mypy",
         rule=str(entry["code"] or "error"),

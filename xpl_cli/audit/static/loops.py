@@ -1,4 +1,4 @@
-"""The evaluation loop of deploy.py: its functions, what they do to the environment, what they ask of the policy."""
+"""The evaluation loop of deploy.py: its functions, and their calls of the environment and of the policy."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ UPDATES: Final = (UPDATE, UPDATE_BATCH)
 
 @cache
 def function_names() -> tuple[str, ...]:
-    """Return the names of the functions that deploy.py offers."""
+    """Return the names of the evaluation functions in deploy.py."""
     return tuple(spec.data("package")["loop"]["functions"])
 
 
 def loops(source: Source) -> list[Function]:
-    """Return the evaluation functions that deploy.py defines or takes from another file of the adapter.
+    """Return the evaluation functions that deploy.py defines or imports from another file of the adapter.
 
     Raises:
         NotRun: if deploy.py does not parse.
@@ -40,7 +40,7 @@ def loops(source: Source) -> list[Function]:
 
 
 def policy_calls(function: Function) -> Iterator[tuple[ast.Call, str | None]]:
-    """Yield what a function asks of the policy, `call(func_name="reset")`; None for a name made at run time."""
+    """Yield a function's calls of the policy, `call(func_name="reset")`, with the name; None if it is computed."""
     client = _client(function)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and _is(node.func.value, client):
@@ -65,20 +65,20 @@ def environment_calls(node: ast.AST, function: Function, names: tuple[str, ...])
 
 
 def sends_observation(node: ast.AST, function: Function) -> bool:
-    """Tell whether the policy is shown an observation below a node."""
+    """Return whether `update_obs` is called below a node."""
     inside = set(map(id, ast.walk(node)))
     return any(id(call) in inside and name in UPDATES for call, name in policy_calls(function))
 
 
 def passes_on(node: ast.AST, function: Function, source: Source, parameter: int, names: tuple[str, ...] = ()) -> bool:
-    """Tell whether the environment or the client is given, below a node, to a function that may do something there.
+    """Return whether the environment or the client is passed, below a node, to a function that may call its methods.
 
     Args:
-        node: where to look.
+        node: the node.
         function: the evaluation function.
-        source: the adapter, to look the function up in.
+        source: the adapter.
         parameter: 0 for the environment, 1 for the client.
-        names: methods of it; a function of the boundary that calls none of them does not count.
+        names: its methods; a function of the boundary that calls none of them does not count.
     """
     parameter_name = _environment(function) if parameter == 0 else _client(function)
     functions = symbols(source, function.file).functions

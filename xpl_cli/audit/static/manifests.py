@@ -1,4 +1,4 @@
-"""What the rules about YAML manifests share: problems of the schema as findings, and the line of a key."""
+"""Helpers of rules for YAML manifests: schema problems as findings, locations of keys, edits."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
         source: the package.
         name: the file.
         schema: name of the schema.
-        consequence: what a problem means, with `{}` for the key or file it lies in.
+        consequence: the consequence of a problem, with `{}` for its key or file.
     """
     from xpl_cli.standard.validate import validate_yaml_file
 
@@ -41,13 +41,13 @@ def schema_findings(source: Source, name: str, schema: str, consequence: str) ->
 
 
 def key_line(source: Source, name: str, key: str) -> int:
-    """Return the 1-based line on which a top-level key of a YAML file stands, 1 if it is not found."""
+    """Return the 1-based line of a top-level key of a YAML file, 1 if it is not found."""
     lines = source.text(name).split("\n")
     return next((number for number, text in enumerate(lines, start=1) if re.match(rf"{re.escape(key)}\s*:", text)), 1)
 
 
 def location_in(source: Source, name: str, path: Sequence[str | int]) -> Location:
-    """Return where a value of a YAML file stands, for a `Finding`: file, and 1-based line and column."""
+    """Return the location of a value of a YAML file: file, and 1-based line and column."""
     from xpl_cli.standard.validate import mark_of
 
     root = source.yaml_root(name)
@@ -60,7 +60,7 @@ def location_in(source: Source, name: str, path: Sequence[str | int]) -> Locatio
 
 
 def rename_fix(source: Source, name: str, key: str) -> Fix:
-    """Return the fix that gives a top-level key of a YAML file the name of the package's folder."""
+    """Return the fix that sets a top-level key of a YAML file to the name of the package's folder."""
     import json
 
     import yaml
@@ -80,7 +80,7 @@ def rename_fix(source: Source, name: str, key: str) -> Fix:
 
 
 def delete_edits(source: Source, name: str, keys: Collection[str]) -> Iterator[Edit]:
-    """Yield the edits that delete top-level keys of a YAML file, with the whole lines that these take."""
+    """Yield the edits that delete top-level keys of a YAML file with all their lines."""
     lines = len(source.text(name).split("\n"))
     for key, value in _pairs(source.yaml_root(name), *keys):
         last = max(_lines(value))
@@ -92,7 +92,7 @@ def delete_edits(source: Source, name: str, keys: Collection[str]) -> Iterator[E
 
 
 def _pairs(root: yaml.Node | None, *keys: str) -> list[tuple[yaml.Node, yaml.Node]]:
-    """Return the entries of a map that have one of these keys."""
+    """Return the entries of a mapping with one of these keys."""
     import yaml
 
     key_set = frozenset(keys)

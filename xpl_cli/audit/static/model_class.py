@@ -1,4 +1,4 @@
-"""The class `Model` of an adapter as a reader sees it: its methods, what they reach, what configuration they read."""
+"""The class `Model` of an adapter: its methods, the functions that they reach, and the configuration that they read."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ ACTING: Final = (ACT, ACT_BATCH, "predict", "decode")
 RESETTING: Final = (RESET, "reset_env")
 
 _ECOSYSTEM: Final = "XPolicyLab."
-"""Its own helpers read keys of the standard, and those that the adapter names to them."""
+"""Helpers of this package read keys of the standard, and keys that the adapter passes to them."""
 _SDK_CLASS, _TEMPLATE = "Policy", "ModelTemplate"
 _TEMPLATE_GIVES: Final = ("__init__", RESET)
 _HARMLESS: Final = frozenset(("dict", "copy", "deepcopy", "isinstance", "len", "str", "repr", "print", "bool", "get"))
-"""Calls that take a configuration and read no key of it that matters."""
+"""Calls that get a configuration but read no relevant key of it."""
 
 
 @dataclass(frozen=True)
 class ConfigRead:
-    """One place where the adapter reads its configuration."""
+    """One expression that reads a key of the configuration."""
 
     function: Function
     read: KeyRead
@@ -55,9 +55,9 @@ class ModelClass:
     Attributes:
         file, node: where it is defined.
         methods: its own methods and those of its base classes in the boundary, by name.
-        inherited: names that base classes outside the boundary give it.
-        is_sdk: whether it derives from `xpl.Policy`, which keeps environments, order and seeds itself.
-        is_closed: whether every base class is known, so that a method that is not here does not exist.
+        inherited: names of methods of base classes outside the boundary.
+        is_sdk: whether it derives from `xpl.Policy`, which handles environments, order and seeds itself.
+        is_closed: whether every base class is known, so that no other methods exist.
     """
 
     source: Source
@@ -71,11 +71,11 @@ class ModelClass:
 
     @classmethod
     def of(cls, source: Source) -> ModelClass:
-        """Find the class; whoever asks again for one that was found gets the same.
+        """Find the class, cached in `source`.
 
         Raises:
             NotRun: if model.py does not parse or does not define it.
-            NotApplicable: if model.py takes it from a package that is not part of the adapter.
+            NotApplicable: if model.py imports it from a package that is not part of the adapter.
         """
         if cls in source.views:
             cached: ModelClass = source.views[cls]
@@ -84,7 +84,7 @@ class ModelClass:
         source.tree(sdk.File.MODEL_PY)
         definition = symbols(source, sdk.File.MODEL_PY).classes.get(class_name)
         if definition is None and origin(source, sdk.File.MODEL_PY, class_name):
-            raise NotApplicable(f"model.py takes {class_name} from a package that is not part of the adapter")
+            raise NotApplicable(f"model.py imports {class_name} from a package that is not part of the adapter")
         if definition is None:
             raise NotRun(f"model.py defines no class {class_name}")
         source.views[cls] = model_class = cls.from_node(source, *definition)
@@ -118,7 +118,7 @@ class ModelClass:
                 self.is_closed = False
 
     def has(self, name: str) -> bool:
-        """Tell whether the class has a method, its own or inherited."""
+        """Return whether the class has a method, its own or inherited."""
         return name in self.methods or name in self.inherited
 
     def method(self, name: str) -> Function | None:
@@ -160,7 +160,7 @@ class ModelClass:
 
     @cached_property
     def components(self) -> dict[str, ModelClass]:
-        """Attributes that hold an object of another class of the boundary, with that class."""
+        """Attributes that are objects of another class of the boundary, with that class."""
         classes: dict[str, ModelClass] = {}
         for function in self.reach(*LOADING):
             for node in function.nodes:
@@ -172,7 +172,7 @@ class ModelClass:
         return classes
 
     def _constructed_class(self, function: Function, value: ast.expr, depth: int = 2) -> ModelClass | None:
-        """Return the class of what an expression makes: a constructor, or a function that returns one's result."""
+        """Return the class that an expression constructs, directly or by a function that returns the object."""
         if not isinstance(value, ast.Call) or depth == 0:
             return None
         cls = symbols(self.source, function.file).classes.get(dotted(value.func))
@@ -184,7 +184,7 @@ class ModelClass:
 
     @cached_property
     def settings(self) -> list[ConfigRead]:
-        """Every place where the class, or a function it hands its configuration to, reads a key of it."""
+        """Every expression that reads a key of the configuration, in the class or in a function that gets it."""
         return [
             ConfigRead(function, read)
             for function, is_config in self._config_readers
@@ -194,7 +194,7 @@ class ModelClass:
 
     @cached_property
     def config_escapes(self) -> bool:
-        """Whether the configuration is handed on as a whole to code outside the boundary, which may read any key."""
+        """Whether the whole configuration is passed to code outside the boundary, which may read any key."""
         return any(
             self._passes_on_config(function, node, is_config)
             for function, is_config in self._config_readers
@@ -234,7 +234,7 @@ class ModelClass:
     def _propagate_config(
         self, function: Function, local: set[str], attributes: set[str], config_names: dict[int, set[str]]
     ) -> None:
-        """Note where a function puts the configuration: into names, attributes, parameters of functions it calls."""
+        """Add the names, attributes and parameters to which a function assigns the configuration."""
         is_config = _config_test(local, attributes)
         for node in function.nodes:
             if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None:
@@ -251,7 +251,7 @@ class ModelClass:
                 )
 
     def callee(self, function: Function, call: ast.Call) -> Function | None:
-        """Return the function of the boundary that a call means."""
+        """Return the function of the boundary that a call refers to."""
         name = dotted(call.func)
         if name.startswith(("self.", "cls.")):
             return self.methods.get(name.partition(".")[2])
@@ -317,7 +317,7 @@ def _plain_attribute(node: ast.AST) -> str | None:
 
 
 def _unwrap_copy(node: ast.expr) -> ast.expr:
-    """Return what a copy is made of: `dict(config)`, `config.copy()`, `config or {}`."""
+    """Return the original of a copy: `config` for `dict(config)`, `config.copy()`, `config or {}`."""
     if isinstance(node, ast.Call):
         name = last(called(node))
         if name in {"dict", "copy", "deepcopy"} and isinstance(node.func, ast.Attribute) and not node.args:
@@ -343,6 +343,6 @@ def _values(call: ast.Call) -> list[ast.expr]:
 
 
 def _bind_arguments(names: list[str], call: ast.Call) -> list[tuple[str, ast.expr]]:
-    """Return the parameters that a call gives, with what they get."""
+    """Return the parameters that a call sets, with their arguments."""
     positional = list(zip(names, call.args, strict=False))
     return positional + [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg in names]

@@ -1,4 +1,4 @@
-"""Whether an adapter hands whole observations on to code that is not its own, which may read any key of them."""
+"""Whether an adapter passes whole observations to other packages, which may read any key of them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ _KNOWN: Final = frozenset(
         *GROWING,
     )
 )
-"""Calls that read no key of an observation, or only the one that they name."""
+"""Calls that read no key of an observation, or only a named one."""
 _COPIES: Final = frozenset(("dict", "list", "copy", "deepcopy", "enumerate", "zip", "values", "items"))
 _READ: Final = ("XPolicyLab.", "xpl.")
-"""Packages whose helpers take observations apart, and leave the instruction to the adapter."""
+"""Packages whose helpers read observations, but not the instruction."""
 
 
 def escapes(adapter: ModelClass) -> bool:
-    """Tell whether an observation, or an entry of a stored batch, is given to a function outside of the boundary."""
+    """Return whether an observation, or an entry of a stored batch, is passed to a function outside of the boundary."""
     functions = {id(function.node): function for function in adapter.reach(*OBSERVING, *ACTING)}
     trail = _ObservationFlow(adapter, {key: set() for key in functions})
     for name in OBSERVING:
@@ -43,11 +43,11 @@ def escapes(adapter: ModelClass) -> bool:
 
 @dataclass
 class _ObservationFlow:
-    """Where observations go.
+    """Names and attributes that hold observations.
 
     Attributes:
-        local: names that hold some, by function.
-        stored: attributes that do.
+        local: names, by function.
+        stored: attributes.
     """
 
     adapter: ModelClass
@@ -55,7 +55,7 @@ class _ObservationFlow:
     stored: set[str] = field(default_factory=set)
 
     def propagate(self, function: Function) -> None:
-        """Note where a function puts observations: names, attributes, parameters of functions that it calls."""
+        """Add the names, attributes and parameters to which a function assigns observations."""
         local = self.local[id(function.node)]
         settings: list[ast.Assign | ast.AnnAssign] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
         for node in settings:
@@ -74,7 +74,7 @@ class _ObservationFlow:
             self._propagate_call(function, call, local)
 
     def _propagate_call(self, function: Function, call: ast.Call, local: set[str]) -> None:
-        """Note what a call puts into an attribute, or gives a function of the boundary."""
+        """Add attributes and parameters of the boundary that get an observation by a call."""
         if isinstance(call.func, ast.Attribute) and call.func.attr in GROWING:
             attribute = self_attribute(call.func.value)
             if attribute is not None and any(_is_whole(value, local, self.stored) for value in call.args):
@@ -87,7 +87,7 @@ class _ObservationFlow:
             observed_names |= {name for name, value in arguments if _is_whole(value, local, self.stored)}
 
     def leaves(self, function: Function, call: ast.Call) -> bool:
-        """Tell whether a call gives an observation to code that is not the adapter's."""
+        """Return whether a call passes an observation to code of another package."""
         name, local = called(call), self.local[id(function.node)]
         if last(name) in _KNOWN or self.adapter.callee(function, call) is not None:
             return False
@@ -98,12 +98,12 @@ class _ObservationFlow:
 
 
 def _holds(node: ast.expr, local: set[str], stored: set[str]) -> bool:
-    """Tell whether an expression is an observation, a copy of one, or a container of some."""
+    """Return whether an expression is an observation, a copy of one, or a container of some."""
     return any(_is_whole(value, local, stored) for value in _within(node))
 
 
 def _within(node: ast.expr) -> list[ast.expr]:
-    """Return what a container or a copy is made of; an expression that is neither as it is."""
+    """Return the elements of a container, or the original of a copy; else the expression itself."""
     parts: list[ast.expr] = [node]
     if isinstance(node, (ast.ListComp, ast.GeneratorExp)):
         parts = [node.elt]
@@ -119,7 +119,7 @@ def _within(node: ast.expr) -> list[ast.expr]:
 
 
 def _is_whole(node: ast.expr, local: set[str], stored: set[str]) -> bool:
-    """Tell whether an expression is an observation itself, or an entry of what holds some."""
+    """Return whether an expression is an observation itself, or an entry of a container of some."""
     if isinstance(node, ast.Subscript):
         return not isinstance(constant(node.slice), str) and _is_whole(node.value, local, stored)
     if isinstance(node, ast.Name):

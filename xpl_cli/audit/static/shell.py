@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 _MOST_CHARACTERS: Final = 60_000
 _MOST_LEVELS: Final = 100
 _LONGEST_S: Final = 5.0
-"""Seconds that the grammar, or bash, may take for one script: a thousand times what they do take."""
+"""Timeout of the grammar, and of bash, for one script, s: a thousand times the usual time."""
 _PIECE: Final = 32_768
 _ERROR_LINE: Final = re.compile(r"line (\d+): (.+)")
 _SETTERS: Final = frozenset(
     ("export", "local", "readonly", "declare", "typeset", "read", "mapfile", "readarray", "getopts")
 )
 TESTS: Final = frozenset(("[", "[[", "((", "test"))
-"""What only asks."""
+"""Commands that only test."""
 _GUARDED: Final = re.compile(r"\$\{(\w+):?[-=?+]")
 _NAME: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*#?$!-])(:?[-=?+])?|(\d|[A-Za-z_]\w*|[@*#?$!-]))")
 _POSITION: Final = re.compile(r"""["']?\$(?:(\d)|\{(\d+)(?:[:#%/^,?+-][^}]*(?:\}[^}]*)*)?\})["']?""")
@@ -44,7 +44,7 @@ class Expansion(NamedTuple):
 
     Attributes:
         name: of the variable, or `1` for a positional argument.
-        guard: `:-` and its like where the script says what happens if the variable is not set.
+        guard: `:-` and its like, if the expansion handles an unset variable.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Expansion(NamedTuple):
 
 @dataclass(frozen=True)
 class ShellWord:
-    """One word as it is written, with its 1-based place and what the shell replaces in it by values of variables."""
+    """One word as it is written, with its 1-based position and its expansions."""
 
     raw: str
     line: int
@@ -67,7 +67,7 @@ class ShellWord:
 
     @property
     def position(self) -> int | None:
-        """N for `$N`, `${N}` and `${N:-default}`: the positional argument that the word takes."""
+        """N for `$N`, `${N}` and `${N:-default}`: the positional argument that the word expands."""
         match = _POSITION.fullmatch(self.raw)
         return int(match.group(1) or match.group(2)) if match else None
 
@@ -80,14 +80,14 @@ class ShellWord:
 
 @dataclass(frozen=True)
 class ShellCommand:
-    """One simple command: its words, its assignments, and how deep in loops and functions it stands.
+    """One simple command: its words, its assignments, and its nesting in loops and functions.
 
     Attributes:
         words: all of it, assignments before it too; of a test its operands and operators.
         assignments: names and values that it assigns, of `export` and its like too.
-        arguments: the words after leading assignments: the program and what it gets.
-        keywords: words of the grammar that lead to it, such as `if`, `then`, `!`.
-        end: the operator behind it, or behind a group whose last one it is: `&`, `&&`, `||` or `|`; "" for none.
+        arguments: the words after leading assignments: the program and its arguments.
+        keywords: keywords before it, such as `if`, `then`, `!`.
+        end: the operator after it, or after a group whose last command it is: `&`, `&&`, `||` or `|`; "" for none.
     """
 
     words: tuple[ShellWord, ...]
@@ -105,11 +105,11 @@ class ShellCommand:
 
 
 class ShellScript(list[ShellCommand]):
-    """The simple commands of a script, those of functions included and those of substitutions left out."""
+    """The simple commands of a script, including those of functions and without those of substitutions."""
 
     @cached_property
     def options(self) -> frozenset[str]:
-        """What `set` turns on anywhere: `errexit`, `nounset`, `pipefail`."""
+        """Options that `set` enables anywhere: `errexit`, `nounset`, `pipefail`."""
         letters = {"e": "errexit", "u": "nounset"}
         options: set[str] = set()
         for command in self:
@@ -122,7 +122,7 @@ class ShellScript(list[ShellCommand]):
 
     @cached_property
     def variables(self) -> frozenset[str]:
-        """Every name that the script gives a value anywhere: by assignment, `for`, `read` and their like."""
+        """Every variable that the script sets anywhere: by assignment, `for`, `read` and their like."""
         names: set[str] = set()
         for command in self:
             names.update(name for name, _ in command.assignments)
@@ -136,7 +136,7 @@ class ShellScript(list[ShellCommand]):
 
     @cached_property
     def checked(self) -> frozenset[str]:
-        """Every name for which the script says somewhere what happens if it is not set, or empty."""
+        """Every variable for which the script handles an unset or empty value somewhere."""
         names: set[str] = set()
         for command in self:
             for word in command.words:
@@ -193,7 +193,11 @@ def bash_error(script: str) -> tuple[int, str] | None:
 
 
 def _parse_tree(source: bytes) -> Tree:
-    """Return the syntax tree of a script, in UTF-8; what takes longer than a script of a person is given up."""
+    """Return the syntax tree of a script, in UTF-8.
+
+    Raises:
+        TooMuchError: if parsing exceeds the time limit.
+    """
     import tree_sitter_bash
     from tree_sitter import Language, Parser
 
@@ -209,7 +213,7 @@ def _parse_tree(source: bytes) -> Tree:
 
 @dataclass(frozen=True)
 class _Context:
-    """Where a command stands."""
+    """The nesting of a command."""
 
     loops: int = 0
     functions: int = 0
@@ -221,7 +225,7 @@ class _Context:
 
 
 class _CommandCollector:
-    """Goes through the syntax tree of a script, and collects its simple commands.
+    """Collects the simple commands of a script from its syntax tree.
 
     Args:
         source: the script, in UTF-8.
@@ -233,7 +237,7 @@ class _CommandCollector:
         self._lines = source.split(b"\n")
 
     def collect(self, node: Node, context: _Context) -> None:
-        """Collect the commands of a node, and note what ends each."""
+        """Collect the commands of a node, with the operator after each."""
         if context.levels > _MOST_LEVELS:
             raise TooMuchError(f"nested more than {_MOST_LEVELS} levels deep")
         kind = node.type
@@ -258,7 +262,7 @@ class _CommandCollector:
             self._collect_all(node.children, context.nested(*before, *more))
 
     def _collect_all(self, nodes: list[Node], context: _Context) -> None:
-        """Collect what these nodes hold; keywords count for the first of them alone."""
+        """Collect the commands of these nodes; keywords apply only to the first one."""
         for child in nodes:
             if child.type in _OPERATORS:
                 self._set_end(_OPERATORS[child.type])
@@ -273,7 +277,7 @@ class _CommandCollector:
             self.commands[-1] = replace(self.commands[-1], end=operator)
 
     def _collect_condition(self, node: Node, context: _Context) -> None:
-        """Collect an `if` or a `while`: all of its condition is asked, what follows is done."""
+        """Collect an `if` or a `while`: the commands of its condition, then those of its body."""
         keyword = node.children[0].type
         loops = int(node.type == "while_statement")
         body_start = next((at for at, child in enumerate(node.children) if child.type in {"then", "do_group"}), 0)
@@ -282,7 +286,7 @@ class _CommandCollector:
         self._collect_all(node.children[body_start:], context.nested(*(() if loops else ("then",)), loops=loops))
 
     def _collect_arithmetic(self, node: Node, context: _Context) -> None:
-        """Collect `((...))`: a test that may give each of its names a value."""
+        """Collect `((...))`: a test that may set each of its variables."""
         words = (self._word(node.children[0]), *map(self._word, node.named_children))
         assignments = tuple(
             (self._text(name), self._word(name)) for name in _descendants_of_type(node, "variable_name")
@@ -333,7 +337,7 @@ class _CommandCollector:
         return ShellWord("", line + 1, self._column(line, column))
 
     def _column(self, line: int, offset: int) -> int:
-        """Turn an offset in bytes into a column."""
+        """Convert an offset in bytes to a column."""
         return len(self._lines[line][:offset].decode(errors="replace")) + 1
 
     def _text(self, node: Node) -> str:
@@ -341,7 +345,7 @@ class _CommandCollector:
 
 
 def _operands(node: Node) -> Iterator[Node]:
-    """Yield what stands between the brackets of a test: operands and operators."""
+    """Yield the operands and operators between the brackets of a test."""
     for child in node.children if node.type == "test_command" else [node]:
         if child.type in {"binary_expression", "unary_expression", "parenthesized_expression", "negated_command"}:
             for part in child.children:
@@ -351,7 +355,7 @@ def _operands(node: Node) -> Iterator[Node]:
 
 
 def _descendants_of_type(node: Node, *kinds: str) -> Iterator[Node]:
-    """Yield the nodes of some kinds in a node."""
+    """Yield the descendants of a node with these types."""
     waiting = [node]
     while waiting:
         entry = waiting.pop()
@@ -361,7 +365,7 @@ def _descendants_of_type(node: Node, *kinds: str) -> Iterator[Node]:
 
 
 def _expansions(node: Node) -> Iterator[Expansion]:
-    """Yield the expansions of a word, those inside of substitutions too."""
+    """Yield the expansions of a word, including those inside of substitutions."""
     for entry in _descendants_of_type(node, *_EXPANDS):
         match = _NAME.match((entry.text or b"").decode(errors="replace"))
         if match is not None:

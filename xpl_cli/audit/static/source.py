@@ -1,4 +1,4 @@
-"""The static fact: an adapter's files as text, syntax trees and YAML, each read once; nothing is executed."""
+"""The fact `source`: an adapter's files as text, syntax trees and YAML, each read once; nothing is executed."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ if TYPE_CHECKING:
     from xpl_cli.basics.yaml import text as yaml_text
 
 _LONGEST_PATH = 4096
-"""Characters; no system takes a longer one."""
+"""Characters; no operating system supports longer paths."""
 _MOST_PARTS = 64
 _PYTHON_FILE = re.compile(r"[^\s\"'()=]+\.py\b")
 
 
 @dataclass
 class Source:
-    """The boundary of one adapter: what a reader of the adapter reads.
+    """The boundary of one adapter: its own files.
 
     That is the files directly in its folder, the local modules that model.py, deploy.py and process_data.py reach (into
-    a subfolder only one step, so that vendored trees are not looked at), and the Python files that process_data.sh
+    a subfolder only one step, so that vendored code is not read), and the Python files that process_data.sh
     calls. Paths are relative to the folder, with forward slashes.
 
     Attributes:
         path: the adapter's folder.
-        variant: of policy.yml that is judged; None is the policy itself.
-        memory: what the names of each file mean (`adapter.symbols`), kept for whoever asks again.
-        views: what others made of the whole, by its type or the function that made it, likewise.
+        variant: the variant of policy.yml; None is the policy itself.
+        memory: cache of the symbols of each file (`model_class.symbols`).
+        views: cache of objects computed from the whole, by type or function.
     """
 
     path: Path
@@ -99,11 +99,11 @@ class Source:
 
     @property
     def files_read(self) -> tuple[str, ...]:
-        """Names of the files that were read so far."""
+        """Names of the files read so far."""
         return tuple(self._texts)
 
     def has(self, name: str) -> bool:
-        """Tell whether the folder holds a file of this name."""
+        """Return whether the folder has a file of this name."""
         return os.path.isfile(self.path / name)  # noqa: PTH113 - Path.is_file raises where nobody may look
 
     def text(self, name: str) -> str:
@@ -115,7 +115,7 @@ class Source:
         return self._file(name).text
 
     def encoding_error(self, name: str) -> str | None:
-        """Return why Python refuses the bytes of a file, which is read all the same; None if it takes them.
+        """Return why Python cannot decode a file, or None.
 
         Raises:
             NotRun: if there is no such file, or it cannot be read or is too large.
@@ -140,7 +140,7 @@ class Source:
         return result if isinstance(result, Exception) else None
 
     def nodes(self, name: str) -> tuple[ast.AST, ...]:
-        """Return everything in a Python file, the outermost first.
+        """Return all nodes of a Python file, the outermost first.
 
         Raises:
             NotRun: if there is no such file, or it does not parse.
@@ -160,14 +160,14 @@ class Source:
                     )
                 self._python_left -= len(text)
                 with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")  # an invalid escape is not ours to print
+                    warnings.simplefilter("ignore")  # warnings on invalid escapes are not printed
                     self._parsed[name] = bounded_nodes(ast.parse(text, filename=name))
             except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
-                self._parsed[name] = error.with_traceback(None)  # its frames hold the tree
+                self._parsed[name] = error.with_traceback(None)  # its frames reference the tree
         return self._parsed[name]
 
     def function(self, name: str, node: FunctionNode, owner: ast.ClassDef | None = None) -> Function:
-        """Return a function of a Python file; whoever asks for it shares what it computes once."""
+        """Return a function of a Python file, cached."""
         if id(node) not in self._functions:
             self._functions[id(node)] = Function(name, node, owner)
         return self._functions[id(node)]
@@ -185,11 +185,11 @@ class Source:
         return self._defined[name]
 
     def boundary_hash(self) -> str:
-        """Return a hash of the boundary's files: what the static gate judges, documents too."""
+        """Return a hash of the boundary's files, documentation included: those that the static gate reads."""
         return self._hash_files_where(lambda _: True)
 
     def record(self) -> str:
-        """Return a hash of those files that a package may act by: what gates that run it judge."""
+        """Return a hash of the files that affect the adapter's behaviour, for gates that run it."""
         return self._hash_files_where(lambda name: not file_reading.is_document(name))
 
     def _hash_files_where(self, counts: Callable[[str], bool]) -> str:
@@ -201,7 +201,7 @@ class Source:
         return state.hexdigest()[:16]
 
     def yaml(self, name: str) -> Any:
-        """Return what a YAML file holds.
+        """Return the value of a YAML file.
 
         Raises:
             NotRun: if there is no such file, or it does not parse; the rule `parses` reports where.
@@ -212,7 +212,7 @@ class Source:
         return self._yaml[name][0].data
 
     def yaml_root(self, name: str) -> Node | None:
-        """Return the nodes of a YAML file, which know their places; None for an empty one, or one that does not parse.
+        """Return the root node of a YAML file, with positions; None for an empty one, or one that does not parse.
 
         Raises:
             NotRun: if there is no such file, or it cannot be read or is too large.
@@ -232,7 +232,7 @@ class Source:
 
     @cached_property
     def deploy(self) -> Entry:
-        """The map in deploy.yml; empty if it is missing or no map, which other rules report.
+        """The mapping in deploy.yml; empty if it is missing or no mapping, which other rules report.
 
         Raises:
             NotRun: if there is no such variant.
@@ -242,7 +242,7 @@ class Source:
 
     @cached_property
     def manifest(self) -> Manifest:
-        """What policy.yml says, without what is unknown; false for an adapter of the ecosystem, which has none.
+        """The manifest of policy.yml, without unknown values; false for an adapter of the ecosystem, which has none.
 
         Raises:
             NotRun: if there is no such variant.
@@ -251,7 +251,7 @@ class Source:
 
     @cached_property
     def _variant_documents(self) -> tuple[Entry, Entry]:
-        """What policy.yml says of the variant, and what that changes in deploy.yml."""
+        """The variant's policy.yml, and its changes of deploy.yml."""
         try:
             return variants.apply_variant(self.manifest_of(sdk.File.POLICY_YML), self.variant)
         except variants.VariantError as error:
@@ -259,11 +259,11 @@ class Source:
 
     @property
     def is_ecosystem(self) -> bool:
-        """Whether the adapter follows the field's layout, without a manifest of ours."""
+        """Whether the adapter has the ecosystem's layout, without a policy.yml."""
         return not self.has(sdk.File.POLICY_YML)
 
     def manifest_of(self, name: str) -> Entry:
-        """Return the map in a YAML file; empty if it is missing, does not parse, or holds something else."""
+        """Return the mapping in a YAML file; empty if it is missing, does not parse, or is something else."""
         try:
             value = self.yaml(name)
         except NotRun:
@@ -271,7 +271,7 @@ class Source:
         return value if isinstance(value, dict) else {}
 
     def parses(self, name: str) -> bool:
-        """Tell whether a Python file parses."""
+        """Return whether a Python file parses."""
         try:
             self.tree(name)
         except NotRun:
@@ -293,7 +293,7 @@ class Source:
         return self._imports[name]
 
     def at(self, name: str, node: ast.AST) -> Location:
-        """Return a node's place for a `Finding`."""
+        """Return a node's location for a `Finding`."""
         location = self.start(name, node)
         end = getattr(node, "end_lineno", None)
         if end is not None:
@@ -302,7 +302,7 @@ class Source:
         return location
 
     def start(self, name: str, node: ast.AST) -> Location:
-        """Return where a node begins, for a `Finding` about something larger than a line."""
+        """Return the location of a node's start, for a `Finding` on something larger than a line."""
         line = getattr(node, "lineno", 1)
         return {"path": name, "line": line, "column": self._column(name, line, getattr(node, "col_offset", 0))}
 
@@ -321,13 +321,13 @@ class Source:
 
     @cached_property
     def conversion_files(self) -> tuple[str, ...]:
-        """The boundary's Python files that turn trajectories into training data."""
+        """The boundary's Python files that convert trajectories to training data."""
         stem = Path(sdk.File.PROCESS_DATA_SH).stem
         named = {name for name in self.python_files if Path(name).stem.startswith((stem, "convert"))}
         return tuple(sorted(named | self._called_by(sdk.File.PROCESS_DATA_SH)))
 
     def _column(self, name: str, line: int, offset: int) -> int:
-        """Turn an offset in UTF-8 bytes, as syntax trees have it, into a column."""
+        """Convert an offset in UTF-8 bytes, as in syntax trees, to a column."""
         if name not in self._lines:  # once for each file, not for each finding
             self._lines[name] = self.text(name).split("\n")
         lines = self._lines[name]
@@ -335,7 +335,7 @@ class Source:
         return len(text.encode()[:offset].decode(errors="ignore")) + 1
 
     def _called_by(self, script: str) -> set[str]:
-        """Return the adapter's Python files that a script calls, by any prefix that ends in its own folder."""
+        """Return the adapter's Python files that a script runs, by any prefix that ends in its own folder."""
         values: dict[str, str] = {}
         files: set[str] = set()
         try:
@@ -374,7 +374,7 @@ class Source:
 
 
 def _expand_variables(text: str, values: dict[str, str]) -> str:
-    """Put the values of known variables into a word; substitutions and the unknown become a folder of no name."""
+    """Expand the known variables of a word; substitutions and unknown variables become empty."""
     if len(text) > _LONGEST_PATH:
         return ""
     text = re.sub(r"\$\((?:[^()]|\([^()]*\))*\)", "", text)

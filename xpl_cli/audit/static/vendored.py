@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 _SUFFIXES: Final = (".cfg", ".py", ".sh", ".toml", ".yaml", ".yml")
 _MOST_FILES: Final = 4000
 _LARGEST: Final = 256 * 1024
-"""Bytes; what is larger was generated, or is data."""
+"""Bytes; larger files are generated, or data."""
 _DATA: Final = frozenset(("checkpoints", "data", "datasets", "node_modules", "outputs", "results", "wandb"))
-"""Folders right below the adapter's that hold what was made, not what was written."""
+"""Folders directly in the adapter's folder with outputs and data instead of code."""
 
 
 def texts(source: Source) -> Iterator[tuple[str, str]]:
@@ -30,7 +30,7 @@ def texts(source: Source) -> Iterator[tuple[str, str]]:
 
 
 def _names(source: Source) -> tuple[str, ...]:
-    """Return the names of those files, sorted; of a package that holds too many only the first."""
+    """Return the names of those files, sorted, up to a limit."""
     if texts not in source.views:
         paths: list[str] = []
         for folder, inner, files in os.walk(source.path):

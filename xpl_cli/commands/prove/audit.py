@@ -133,7 +133,7 @@ def audit(
     from xpl_cli.packages import package
 
     delivery = ReportOutput.parse("json" if as_json else report_format, output)
-    profile = _profile(profile, shadow=shadow)
+    profile = _parse_profile(profile, shadow=shadow)
     for name in gate:
         one_of("--gate", name, _GATES)
     one_of("--fail-on", fail_on, _FAIL_ON)
@@ -144,7 +144,9 @@ def audit(
         from xpl_cli.audit.physics.simulation import check_tasks
 
         check_tasks(task)
-    targets = _targets(paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC}, demos=demos)
+    targets = _select_targets(
+        paths or (), changed_since, every=every, is_run=set(gate or ()) != {Gate.STATIC}, demos=demos
+    )
     sandbox.check([target.path for target in targets], memory_limit=memory_limit, isolate=isolate)
     gates = tuple(Gate(name) for name in _GATES if not gate or name in gate)
     with progress() as say:
@@ -187,31 +189,31 @@ def audit(
     context = ReportContext(
         fail_on=Outcome(fail_on),
         selection=(
-            *_repeated("--select", selected),
-            *_repeated("--ignore", ignored),
+            *_option_words("--select", selected),
+            *_option_words("--ignore", ignored),
             *(("--keep-going",) if keep_going else ()),
             *(() if fail_on == Outcome.FAIL else ("--fail-on", fail_on)),
             *(("--profile", profile) if profile else ()),
             *(("--isolate",) if isolate else ()),
-            *_repeated("--task", task),
-            *_repeated("--episodes", [str(episodes)] if episodes else []),
+            *_option_words("--task", task),
+            *_option_words("--episodes", [str(episodes)] if episodes else []),
         ),
         running=(
-            *_repeated("--set", settings),
-            *_repeated("--python", [python] if python else []),
-            *_repeated("--policy-env", [policy_env] if policy_env else []),
+            *_option_words("--set", settings),
+            *_option_words("--python", [python] if python else []),
+            *_option_words("--policy-env", [policy_env] if policy_env else []),
         ),
-        demonstrations=_repeated("--demos", [str(demos)] if demos else []),
+        demonstrations=_option_words("--demos", [str(demos)] if demos else []),
     )
     delivery.deliver(reports, context)
     raise typer.Exit(int(exit_code(reports, Outcome(fail_on))))
 
 
 def _check_demos(demos: Path | None, targets: Sequence[AuditTarget]) -> None:
-    """Refuse demonstrations, if some were named, that are not there, or of which nobody could say whose they are.
+    """Check `--demos`: the path must exist, and exactly one policy must be audited.
 
     Raises:
-        UserError: if so.
+        UserError: otherwise.
     """
     from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.packages.package import POLICY
@@ -224,12 +226,12 @@ def _check_demos(demos: Path | None, targets: Sequence[AuditTarget]) -> None:
         raise UserError(f"--demos is for one policy, and {len(targets)} packages were named", hint="audit it alone")
 
 
-def _targets(
+def _select_targets(
     paths: Iterable[Path], changed_since: str | None, *, every: bool, is_run: bool, demos: Path | None
 ) -> list[AuditTarget]:
-    """Return the packages that are audited: all that were asked for, or those of them that changed since a commit.
+    """Return the packages to audit: all selected ones, or those of them that changed since a commit.
 
-    Waivers of them that name a retired rule are told of in a note.
+    Prints a note for each waiver that names a retired rule.
     """
     from xpl_cli.audit.engine import waivers
     from xpl_cli.audit.static.source import Source
@@ -247,8 +249,8 @@ def _targets(
     return targets
 
 
-def _profile(name: str | None, *, shadow: bool) -> str | None:
-    """Return the profile that two options ask for, None where neither does."""
+def _parse_profile(name: str | None, *, shadow: bool) -> str | None:
+    """Return the profile of `--profile` and `--shadow`, or None."""
     from xpl_cli.basics.errors import UserError
 
     if not shadow:
@@ -258,6 +260,6 @@ def _profile(name: str | None, *, shadow: bool) -> str | None:
     return _PROFILES[1]
 
 
-def _repeated(option: str, values: list[str]) -> tuple[str, ...]:
-    """Return an option as a command repeats it."""
+def _option_words(option: str, values: list[str]) -> tuple[str, ...]:
+    """Return the words of an option with its values, for commands that repeat it."""
     return tuple(part for value in values for part in (option, value))

@@ -1,4 +1,4 @@
-"""`xpl rules` and `xpl explain`: which rules there are, and what a rule or a convention is about."""
+"""`xpl rules` and `xpl explain`: list rules, and explain rules and conventions."""
 
 from __future__ import annotations
 
@@ -23,39 +23,43 @@ def explain(
 ) -> None:
     """Explain rules: what each checks, why, and what to do instead. For a retired rule: what replaces it.
 
-    A convention of the model_io block is explained by itself: its values, what libraries call them, usual mistakes.
+    A convention of the model_io block is explained alone: its values, their names in libraries, usual mistakes.
     """
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.basics import console
 
-    if _explained_convention(names, as_json=as_json):
+    if _explain_convention(names, as_json=as_json):
         return
-    found = list({rule.code: rule for rule in map(_ruled, names)}.values())
-    proven = {rule.code: requirement for rule in found if (requirement := _requirement(rule)) is not None}
+    found_rules = list({rule.code: rule for rule in map(_find_rule, names)}.values())
+    requirements = {
+        rule.code: requirement for rule in found_rules if (requirement := _requirement_of(rule)) is not None
+    }
     if as_json:
-        told = [_explained(rule, proven.get(rule.code)) for rule in found]
-        following = list(dict.fromkeys(f"xpl spec show {requirement.id}" for requirement in proven.values()))
-        following += [f"xpl explain {code}" for rule in found if isinstance(rule, Retired) for code in rule.proven_by]
-        if len(told) == 1:
-            console.answer("xpl.explain/1", told[0], following)
+        documents = [_rule_as_json(rule, requirements.get(rule.code)) for rule in found_rules]
+        following = list(dict.fromkeys(f"xpl spec show {requirement.id}" for requirement in requirements.values()))
+        following += [
+            f"xpl explain {code}" for rule in found_rules if isinstance(rule, Retired) for code in rule.proven_by
+        ]
+        if len(documents) == 1:
+            console.answer("xpl.explain/1", documents[0], following)
         else:
-            console.answer("xpl.explanations/1", {"rules": told}, following)
+            console.answer("xpl.explanations/1", {"rules": documents}, following)
         return
     from rich.markdown import Markdown
 
-    for rule in found:
+    for rule in found_rules:
         if isinstance(rule, Retired):
             console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n*retired*\n\n{rule.documentation}"))
             continue
-        requirement = proven.get(rule.code)
+        requirement = requirements.get(rule.code)
         proves = "*demonstrations, `xpl data validate`*"
         if requirement is not None:
             proves = f"*{rule.gate} gate, proves {requirement.id} ({requirement.level}):* {requirement.text}"
         console.rich(Markdown(f"# {rule.code} {rule.slug}\n\n{proves}\n\n{rule.documentation}"))
 
 
-def _explained_convention(names: list[str], *, as_json: bool) -> bool:
-    """Explain a convention, if the only name is one: slugs of rules are written with hyphens, conventions are not."""
+def _explain_convention(names: list[str], *, as_json: bool) -> bool:
+    """Explain a convention if the only name is one (without hyphens, unlike slugs), and return whether it is."""
     if len(names) != 1 or not names[0].islower() or "-" in names[0]:
         return False
     from xpl.catalogue.convention import conventions
@@ -65,18 +69,18 @@ def _explained_convention(names: list[str], *, as_json: bool) -> bool:
     one = next((one for one in conventions() if one.name == names[0]), None)
     if one is None:
         return False
-    found = description.describe(one)
+    explained = description.describe(one)
     if as_json:
-        console.answer("xpl.convention/1", found.document(), ["xpl model-io sources POLICY"])
+        console.answer("xpl.convention/1", explained.document(), ["xpl model-io sources POLICY"])
         return True
     from rich.markdown import Markdown
 
-    console.rich(Markdown("\n".join(description.render_markdown(found))))
+    console.rich(Markdown("\n".join(description.render_markdown(explained))))
     return True
 
 
-def _ruled(name: str) -> Rule | type[DemonstrationCheck] | Retired:
-    """Return a rule of packages, a check of demonstrations or a retired rule, by its code or slug."""
+def _find_rule(name: str) -> Rule | type[DemonstrationCheck] | Retired:
+    """Return a rule, a check of demonstrations or a retired rule, by its code or slug."""
     from xpl.catalogue.convention import conventions
     from xpl_cli.audit.demonstrations.catalogue import lookup
     from xpl_cli.audit.rules import retired
@@ -90,15 +94,15 @@ def _ruled(name: str) -> Rule | type[DemonstrationCheck] | Retired:
         raise no_such(f"there is no rule or convention {name!r}", name, known, listing="xpl rules") from None
 
 
-def _requirement(rule: Rule | type[DemonstrationCheck] | Retired) -> Requirement | None:
-    """Return what a rule proves; None for a check of demonstrations, and for a retired rule."""
+def _requirement_of(rule: Rule | type[DemonstrationCheck] | Retired) -> Requirement | None:
+    """Return the requirement of a rule; None for a check of demonstrations, and for a retired rule."""
     from xpl_cli.audit.rules.retired import Retired
     from xpl_cli.standard import spec
 
     return None if isinstance(rule, Retired) or not rule.requirement else spec.requirements()[rule.requirement]
 
 
-def _explained(rule: Rule | type[DemonstrationCheck] | Retired, requirement: Requirement | None) -> dict[str, Any]:
+def _rule_as_json(rule: Rule | type[DemonstrationCheck] | Retired, requirement: Requirement | None) -> dict[str, Any]:
     from xpl_cli.audit.rules.retired import Retired
 
     return {
@@ -115,13 +119,13 @@ def _explained(rule: Rule | type[DemonstrationCheck] | Retired, requirement: Req
 
 
 def rules(as_json: bool = JSON) -> None:
-    """List every rule with its code, gate, requirement and summary. Those of demonstrations are among them."""
+    """List every rule with its code, gate, requirement and summary, including checks of demonstrations."""
     from xpl_cli.audit.demonstrations.catalogue import CHECKS
     from xpl_cli.audit.rules.gates import DEMONSTRATIONS
     from xpl_cli.audit.rules.registry import rules as all_rules
     from xpl_cli.basics import console
 
-    found: list[Rule | type[DemonstrationCheck]] = [*all_rules(), *CHECKS]
+    listed_rules: list[Rule | type[DemonstrationCheck]] = [*all_rules(), *CHECKS]
     if as_json:
         entries = [
             {
@@ -133,16 +137,16 @@ def rules(as_json: bool = JSON) -> None:
                 "severity": rule.severity,
                 "summary": rule.summary,
             }
-            for rule in found
+            for rule in listed_rules
         ]
-        console.answer("xpl.rules/1", {"rules": entries}, [f"xpl explain {found[0].code}"])
+        console.answer("xpl.rules/1", {"rules": entries}, [f"xpl explain {listed_rules[0].code}"])
         return
-    width = max(len(rule.slug) for rule in found)
+    width = max(len(rule.slug) for rule in listed_rules)
     by_gate: dict[str, list[str]] = {}
-    for rule in found:
+    for rule in listed_rules:
         line = f"  {rule.code}  {rule.slug:<{width}}  {rule.severity:<6}  {rule.summary}"
         of_environments = " of environments" if rule.target == "env" else ""
         heading = f"{rule.gate} gate{of_environments}" if rule.target != DEMONSTRATIONS else "xpl data validate"
         by_gate.setdefault(heading, []).append(line)
     blocks = ["\n".join([gate, *lines]) for gate, lines in by_gate.items()]
-    console.data("\n\n".join([*blocks, f"next\n  xpl explain {found[0].code}"]))
+    console.data("\n\n".join([*blocks, f"next\n  xpl explain {listed_rules[0].code}"]))

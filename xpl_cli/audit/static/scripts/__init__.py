@@ -1,1 +1,1 @@
-"""Shell scripts of a package: their words, what they run, and whether anything is behind them; none is executed."""
+"""Shell scripts of a package: their commands, and whether they run anything; none is executed."""

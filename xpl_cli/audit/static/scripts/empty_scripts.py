@@ -1,4 +1,4 @@
-"""Scripts of a package that have nothing behind them: what they run is not there, or does nothing."""
+"""Scripts of a package that run nothing: their Python file does not exist, or does nothing."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RUN_BY_XPL: Final = {
     "prepare": f"{Path(sdk.File.PROCESS_DATA_SH).stem}.py",
     "train": f"{Path(sdk.File.TRAIN_SH).stem}.py",
 }
-"""Commands of `xpl` that run the author's own script, and that script."""
+"""Commands of `xpl` that run a Python file of the author, and that file."""
 
 _PREPARES: Final = frozenset(
     (
@@ -31,17 +31,17 @@ _PREPARES: Final = frozenset(
         *("source", ".", "conda", "unset", "trap", "ulimit", "export", "local", "declare", "readonly", "typeset"),
     )
 )
-"""Programs that convert and train nothing."""
+"""Programs that neither convert nor train."""
 _REPORTS: Final = frozenset(
     (
         *("print", "exit", "debug", "info", "warning", "error", "critical", "exception", "basicConfig", "getLogger"),
         *("ArgumentParser", "add_argument", "parse_args", "parse_known_args"),
     )
 )
-"""Functions that only talk, end, or read arguments."""
+"""Functions that only print, exit, or parse arguments."""
 _FUNCTIONS: Final = (ast.FunctionDef, ast.AsyncFunctionDef)
 _LONGEST: Final = 300
-"""Characters of a value that may be a path; longer ones are not looked at."""
+"""Most characters of a value that may be a path."""
 _OWN_FOLDER: Final = re.compile(
     r"""["']?\$\((?:CDPATH='' )?(?:cd (?:-- )?)?["']?\$?\(?dirname [^/]*["')\]}]+(?: && pwd(?: -P)?)?\)?["']?"""
 )
@@ -51,13 +51,13 @@ _VARIABLE: Final = re.compile(r"\$\{?(\w+)\}?")
 
 @dataclass(frozen=True)
 class EmptyScript:
-    """A script with nothing behind it.
+    """A script that runs nothing.
 
     Attributes:
         script: its name.
-        word: where it runs what is not there; None if it runs nothing.
+        word: the word that names its Python file; None if it names none.
         runs: the Python file that it runs, "" if it runs none.
-        is_there: whether that file is there, and does nothing.
+        exists: whether that file exists, but does nothing.
         by_xpl: whether it runs by `xpl prepare` or `xpl train`, as the template's scripts do.
     """
 
@@ -69,10 +69,10 @@ class EmptyScript:
 
 
 def empty_scripts(source: Source) -> list[EmptyScript]:
-    """Return the scripts for data and training that have nothing behind them; none of a package for evaluation only.
+    """Return the scripts for data and training that run nothing; none for a package for evaluation only.
 
     Raises:
-        NotRun: if a script is too large to be read.
+        NotRun: if a script is too large.
     """
     if source.manifest.evaluation_only:
         return []
@@ -82,7 +82,7 @@ def empty_scripts(source: Source) -> list[EmptyScript]:
 
 
 def _check_script(source: Source, name: str) -> EmptyScript | None:
-    """Return what is wrong with a script; None where something, known or not, may do the work."""
+    """Return a script that runs nothing; None if any of its commands may do the work."""
     folders: dict[str, str] = {}
     here: str | None = ""
     empty: list[EmptyScript] = []
@@ -120,7 +120,7 @@ def _only_prepares(command: ShellCommand, program: str) -> bool:
 
 
 def _target(program: str, words: Sequence[ShellWord]) -> ShellWord | None:
-    """Return the word that names what a command runs: a Python file, or the command of `xpl`; None for others."""
+    """Return the word that names the Python file of a command, or the command of `xpl`; else None."""
     if program == "xpl":
         return words[1] if len(words) > 1 and words[1].text in RUN_BY_XPL else None
     if program not in {"python", "python3"}:
@@ -131,7 +131,7 @@ def _target(program: str, words: Sequence[ShellWord]) -> ShellWord | None:
 
 
 def _folder_value(raw: str, folders: dict[str, str]) -> str:
-    """Return the value of a variable where it is the package's folder or lies below it; "?" for others."""
+    """Return the value of a variable if it is the package's folder or below it; else "?"."""
     if len(raw) > _LONGEST:
         return "?"
     if _OWN_FOLDER.fullmatch(raw) and ".." not in raw and ("BASH_SOURCE" in raw or "$0" in raw):
@@ -141,7 +141,7 @@ def _folder_value(raw: str, folders: dict[str, str]) -> str:
 
 
 def _resolve_path(raw: str, folders: dict[str, str], here: str | None) -> str | None:
-    """Return a path relative to the package's folder, "" for that itself; None where it is not known."""
+    """Return a path relative to the package's folder, "" for that itself; None if unknown."""
     text = raw.replace('"', "").replace("'", "")
     text = _VARIABLE.sub(lambda found: folders.get(found.group(1), "?"), text)
     parts = [part for part in text.split("/") if part not in {"", "."}]
@@ -152,7 +152,7 @@ def _resolve_path(raw: str, folders: dict[str, str], here: str | None) -> str | 
 
 
 def _may_do_something(source: Source, file: str) -> bool:
-    """Tell whether a Python file may do something; one below a folder that is not there may be brought later."""
+    """Return whether a Python file may do something; one in a folder that does not exist yet may be added later."""
     if not source.has(file):
         folder = (source.path / file).parent
         try:
@@ -160,7 +160,7 @@ def _may_do_something(source: Source, file: str) -> bool:
         except (OSError, ValueError):  # a name that no folder can have
             return True
     if not source.parses(file):
-        return True  # the rule `parses` tells it
+        return True  # the rule `parses` reports it
     tree = source.tree(file)
     own_functions = {node.name for node in source.nodes(file) if isinstance(node, _FUNCTIONS)}
     calls = {called(node) or "?" for node in source.nodes(file) if isinstance(node, ast.Call)}
@@ -168,13 +168,13 @@ def _may_do_something(source: Source, file: str) -> bool:
 
 
 def _only_reports(function: str) -> bool:
-    """Tell whether a function outside of the file only talks, ends the program, or makes an exception."""
+    """Return whether a function outside of the file only prints, exits, or creates an exception."""
     name = last(function)
     return name in _REPORTS or (name == function and name.endswith(("Error", "Exception", "Exit")))
 
 
 def _is_idle(node: ast.stmt) -> bool:
-    """Tell whether a statement does nothing but define, talk, take arguments or raise, whatever it calls."""
+    """Return whether a statement only defines, prints, parses arguments or raises, whatever it calls."""
     if isinstance(node, (*_FUNCTIONS, ast.ClassDef, ast.If)):
         blocks = [*node.body, *(node.orelse if isinstance(node, ast.If) else [])]
         return not getattr(node, "decorator_list", []) and all(map(_is_idle, blocks))

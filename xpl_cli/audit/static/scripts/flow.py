@@ -1,4 +1,4 @@
-"""What rules about scripts share: the scripts of an adapter, what a command really runs, what a variable may hold."""
+"""Helpers of rules for scripts: an adapter's scripts, the program of a command, variables that may be empty."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PYTHONS: Final = frozenset(("python", "python3", "torchrun", "accelerate", "deep
 SHELLS: Final = frozenset(("bash", "sh", "source", "."))
 INSTALLERS: Final = frozenset(("pip", "pip3", "uv", "conda", "mamba"))
 STEPS: Final = PYTHONS | SHELLS | INSTALLERS | {"cd", "git", "wget", "curl", "make", "cmake", "hf", "huggingface-cli"}
-"""Programs whose failure leaves what follows without what it needs."""
+"""Programs on whose success later steps depend."""
 
 _WRAPPERS: Final = frozenset(("exec", "env", "nohup", "setsid", "time", "sudo", "command", "stdbuf"))
 _TESTS: Final = re.compile(r"(?:\[\[?|\btest)\s+(?:!\s+)?-[defrsx]\s")
@@ -35,12 +35,12 @@ def scripts(source: Source) -> Iterator[tuple[str, ShellScript]]:
 
 
 def word_location(name: str, word: ShellWord) -> Location:
-    """Return where a word stands, for a `Finding`."""
+    """Return the location of a word, for a `Finding`."""
     return {"path": name, "line": word.line, "column": word.column}
 
 
 def executed_words(command: ShellCommand) -> tuple[ShellWord, ...]:
-    """Return the program that a command runs in the end, with its arguments: no `exec`, no `env NAME=value`."""
+    """Return the program that a command finally runs, with its arguments: without `exec` and `env NAME=value`."""
     words = command.arguments
     while words and words[0].text.rpartition("/")[2] in _WRAPPERS:
         words = words[1:]
@@ -50,27 +50,27 @@ def executed_words(command: ShellCommand) -> tuple[ShellWord, ...]:
 
 
 def program(command: ShellCommand) -> str:
-    """Return the name of the program that a command runs in the end; "" where a variable holds it."""
+    """Return the name of the program that a command finally runs; "" if it is a variable."""
     words = executed_words(command)
     return "" if not words or "$" in words[0].raw else words[0].text.rpartition("/")[2]
 
 
 def quote_command(words: tuple[ShellWord, ...], limit: int = 6) -> str:
-    """Return the beginning of a command, to be quoted in a finding."""
+    """Return the start of a command, for a finding."""
     text = " ".join(word.raw for word in words[:limit])
     return (text if len(text) <= 80 else f"{text[:77]}...") + (" ..." if len(words) > limit else "")
 
 
 def only_prints(command: ShellCommand) -> bool:
-    """Tell whether a command only prints or tests, so that what it is given decides nothing else."""
+    """Return whether a command only prints or tests."""
     return command.name in _PRINTS
 
 
 def may_be_empty(name: str, script: ShellScript) -> bool:
-    """Tell whether a variable that a script expands without a guard may hold nothing there.
+    """Return whether a variable that a script expands without a guard may be empty there.
 
     That is so if its value comes, unchecked, from an argument or from the environment, by an empty default, or from a
-    folder that need not exist.
+    folder that may not exist.
     """
     if name in _tested_variables(script):
         return False
@@ -89,7 +89,7 @@ def may_be_empty(name: str, script: ShellScript) -> bool:
 
 
 def _tested_variables(script: ShellScript) -> set[str]:
-    """Return the variables that the script asks to hold something."""
+    """Return the variables that the script tests for being set."""
     names: set[str] = set()
     for command in script:
         for word in command.words:
@@ -98,7 +98,7 @@ def _tested_variables(script: ShellScript) -> set[str]:
 
 
 def sourced_by(source: Source, name: str) -> list[str]:
-    """Return the scripts of the adapter that read another one into their own shell, by its file name."""
+    """Return the scripts of the adapter that `source` another one, by its file name."""
     return [
         other
         for other, commands in scripts(source)
@@ -107,7 +107,7 @@ def sourced_by(source: Source, name: str) -> list[str]:
 
 
 def sources(source: Source, commands: ShellScript) -> Iterator[tuple[int, ShellScript]]:
-    """Yield the scripts of the adapter that a script reads into its own shell, and before which command."""
+    """Yield the scripts of the adapter that a script sources, with the index of the sourcing command."""
     for number, command in enumerate(commands):
         for name in source.text_files if command.name in {"source", "."} else ():
             if name.endswith(".sh") and "/" not in name and _is_source_of(command, name):
@@ -120,7 +120,7 @@ def _is_source_of(command: ShellCommand, name: str) -> bool:
 
 
 def is_candidate(text: str, line: int) -> bool:
-    """Tell whether a path in a line of a script is a candidate only: taken if a test finds it there.
+    """Return whether a path in a line of a script is only a candidate: used if a test finds it.
 
     Args:
         text: the script.
