@@ -44,14 +44,14 @@ def test_grippers_that_only_switch() -> None:
 def test_one_command_for_two() -> None:
     seen_patterns = _seen(JOINTS, GRIPS[..., [0, 0]])
     assert seen_patterns[0][0] == "gripper"
-    assert "are told the same" in seen_patterns[0][1]
+    assert "are always equal" in seen_patterns[0][1]
 
 
 def test_changes_in_the_place_of_others() -> None:
     moved = STATES[:, None] + np.roll(JOINTS - STATES[:, None], -1, axis=-1)
     ((convention, words),) = _seen(moved, GRIPS)
     assert convention == "joint_order"
-    assert "is told in arm_joint_state[3] (and 3 more numbers)" in words
+    assert "is in arm_joint_state[3] (and 3 more numbers)" in words
 
 
 def test_other_numbers_are_none_of_them() -> None:

@@ -94,7 +94,7 @@ def _changed(change: Callable[[dict[str, Any]], Any], folder: Path) -> None:
         (lambda told: told.pop("provenance"), "provenance"),
         (lambda told: told.update(script=1), "version 1 of the script"),
         (lambda told: told["sessions"][0].update(embodiment="nobody"), "unknown embodiment"),
-        (lambda told: told["sessions"][0]["calls"][2].update(ask=[1]), "which was not shown"),
+        (lambda told: told["sessions"][0]["calls"][2].update(ask=[1]), "which has no observation"),
         (
             lambda told: told["sessions"][0]["calls"][2].update(answers=told["sessions"][0]["calls"][2]["answers"] * 2),
             "lacks",

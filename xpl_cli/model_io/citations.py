@@ -38,7 +38,7 @@ class Citation:
     Attributes:
         path: of the file, as it is cited, without what stands before it, such as a repository.
         first, last: lines, from 1, both included.
-        symbol: name that is said to stand there, or "".
+        symbol: name that the citation expects there, or "".
         is_foreign: whether it names a repository, not the package.
     """
 
@@ -66,7 +66,7 @@ class Quotation:
     """The source text at a citation.
 
     Attributes:
-        file: where it was found.
+        file: the file found.
         text: the cited lines, each without what indents it and cut to 160 characters.
         around: these, with three lines before and after.
         problem: what is wrong: no such line, nothing on it, the symbol elsewhere; None if nothing is.

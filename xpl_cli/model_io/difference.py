@@ -81,10 +81,13 @@ def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, flo
     known_pairs = [(golden_step, step) for golden_step, step in pairs if step is not None]
     if 2 * len(known_pairs) < len(pairs):
         return dict.fromkeys(spread, np.inf)
-    golden_step, found = columns([[one for one, _ in known_pairs]]), columns([[other for _, other in known_pairs]])
+    golden_step, adapter_columns = (
+        columns([[one for one, _ in known_pairs]]),
+        columns([[other for _, other in known_pairs]]),
+    )
     result = {}
     for key, values in golden_step.items():
-        other = found.get(key)
+        other = adapter_columns.get(key)
         same = other is not None and other.shape == values.shape
         for index in range(values.shape[1]):
             part = f"{key}[{index}]"

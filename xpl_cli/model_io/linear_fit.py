@@ -100,7 +100,7 @@ def _repeat_states(answers: Answers, states: Sequence[State]) -> dict[str, np.nd
 
 
 def _fit_line(rows: AnswerRows, part: str, spread: float) -> _LinearFit | None:
-    """Return the line wanted = slope * found + constant, of values or of changes, that leaves least, or None."""
+    """Return the line golden = slope * adapter + constant, of values or of changes, that leaves least, or None."""
     key, rest = part.rstrip("]").split("[")
     index = int(rest)
     if key not in rows.adapter or (key.endswith(spec.State.EE_POSE) and index >= spec.POSITION_DIM):

@@ -24,7 +24,7 @@ Column = np.ndarray
 
 
 def order_patterns(episodes: Sequence[EpisodeAnswers], before: Differences, tolerance: float) -> Iterator[Pattern]:
-    """Yield what numbers that differ tell about where the golden ones are told.
+    """Yield patterns of order among the numbers that differ.
 
     Args:
         episodes: all episodes.
@@ -41,7 +41,7 @@ def order_patterns(episodes: Sequence[EpisodeAnswers], before: Differences, tole
 
 
 def _thresholded(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
-    """Tell grippers that are only quite open or quite closed, where the model's are not."""
+    """Yield grippers that are only fully open or fully closed, where the model's are not."""
     for part in differing:
         if _is_gripper(part):
             adapter, golden = np.unique(_column(rows.adapter, part)), np.unique(_column(rows.golden, part))
@@ -53,7 +53,7 @@ def _thresholded(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern
 
 
 def _duplicated(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
-    """Tell two numbers that are always told alike, where the model's differ."""
+    """Yield two numbers that are always equal, where the model's differ."""
     parts = _parts(rows.adapter)
     for part in differing:
         for other in parts:
@@ -62,12 +62,12 @@ def _duplicated(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]
             alike = np.array_equal(_column(rows.adapter, part), _column(rows.adapter, other))
             if alike and not np.array_equal(_column(rows.golden, part), _column(rows.golden, other)):
                 convention = "gripper" if _is_gripper(part) else "joint_order"
-                yield Pattern(f"{part} and {other} are told the same, and the model's differ", convention)
+                yield Pattern(f"{part} and {other} are always equal, and the model's differ", convention)
                 return
 
 
 def _permuted(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
-    """Tell numbers that are told in the place of others, as they are or as changes of the state."""
+    """Yield numbers that appear at the index of others, as values or as deltas from the state."""
     parts = [part for part in _parts(rows.adapter) if not _is_turn(part)]
     sources: dict[str, str] = {}
     for part in (part for part in differing if not _is_turn(part) and not _still(rows, part)):
@@ -80,11 +80,11 @@ def _permuted(rows: AnswerRows, differing: Sequence[str]) -> Iterator[Pattern]:
     (part, other), *more = sources.items()
     more_numbers = f" (and {len(more)} more numbers)" if more else ""
     only = all(map(_is_gripper, (*sources, *sources.values())))
-    yield Pattern(f"what {part} should be is told in {other}{more_numbers}", "gripper" if only else "joint_order")
+    yield Pattern(f"what {part} should be is in {other}{more_numbers}", "gripper" if only else "joint_order")
 
 
 def _is_output_as(rows: AnswerRows, part: str, other: str) -> bool:
-    """Tell whether one number's model_io values are another's that are told."""
+    """Tell whether the golden values of one number are the adapter's values of another."""
     golden, adapter = _column(rows.golden, part), _column(rows.adapter, other)
     if _is_line(golden, adapter):
         return True

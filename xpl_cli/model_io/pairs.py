@@ -265,7 +265,7 @@ def _parse_session(entry: Entry) -> PairSession:
     """Return a session that fits its schema.
 
     Raises:
-        ValueError: if it asks about what was not shown, or its answers have not the shapes that they should have.
+        ValueError: if it asks about an environment without observation, or its answers have wrong shapes.
     """
     dims = get_embodiment(entry["embodiment"]).dims(entry[sdk.Deploy.ACTION_TYPE])
     calls, answers = [], []
@@ -280,7 +280,7 @@ def _parse_session(entry: Entry) -> PairSession:
             raise ValueError(f"call {number} is none of reset, show and ask, or several")
         observed = set() if call.reset else observed | {env for env, _ in call.show}
         if not observed.issuperset(call.ask) or len(call_entry.get("answers", ())) != len(call.ask):
-            raise ValueError(f"call {number} asks about {list(call.ask)}, which was not shown, or lacks answers")
+            raise ValueError(f"call {number} asks about {list(call.ask)}, which has no observation, or lacks answers")
         if call.ask:
             answers.append(
                 tuple(_parse_answer(answer, dims, entry["takes"], number) for answer in call_entry["answers"])

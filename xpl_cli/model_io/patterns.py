@@ -139,10 +139,10 @@ def _answers(
     for episode in threads:
         env = episode.observations[0].get(spec.Obs.ENV_IDX) if episode.observations else None
         number = episode_counts[env] = episode_counts.get(env, -1) + 1
-        for index, (slot, golden, given) in enumerate(
+        for index, (slot, golden_chunk, adapter_chunk) in enumerate(
             zip(episode.asked_at, episode.golden, episode.adapter, strict=True)
         ):
-            share = max(differences([golden], [given], spread).values())
+            share = max(differences([golden_chunk], [adapter_chunk], spread).values())
             yield _JudgedAnswer(number, index if by_question else slot, share <= tolerance)
 
 

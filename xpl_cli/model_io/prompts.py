@@ -59,7 +59,7 @@ def _find_templates(path: Path, line: int | None) -> Iterator[str]:
 
 
 def _is_prompt(text: str) -> bool:
-    """Tell whether a text may be said to a model: names of fields have no spaces."""
+    """Tell whether a text may be a prompt: names of fields have no spaces."""
     return " " in text.replace(HOLE, "") and len(text) < _LONGEST
 
 

@@ -82,7 +82,7 @@ def record(package: Package, options: RecordOptions) -> RecordResult:
 
     Raises:
         UserError: if there is no reference.py, it cannot be run, its answers are not those of the standard, or it
-            answers otherwise when it is asked again.
+            answers differently in a second run.
     """
     if not (package.path / names.CODE).is_file():
         raise UserError(
@@ -115,7 +115,7 @@ def record(package: Package, options: RecordOptions) -> RecordResult:
     if any(share > _MOST_NOISE for share in shares.values()):
         key = max(shares, key=lambda name: shares[name])
         raise UserError(
-            f"{names.CODE} answers otherwise when it is asked again: {key} by {shares[key]:.0%} of its span; expected "
+            f"{names.CODE} answers differently in a second run: {key} by {shares[key]:.0%} of its span; expected "
             "a function of the episode alone",
             hint="draw from episode.rng and keep nothing between questions; if the model takes no seed, say "
             "`sampling: free` in the block model_io of policy.yml",
@@ -137,7 +137,7 @@ def _changes(package: Package, recorded: GoldenPairs) -> tuple[str, ...] | None:
 
 
 def sessions(package: Package, overrides: Config) -> Iterator[PairSession]:
-    """Yield what is to be asked, without answers: the configured robot and action type first, then all declared ones.
+    """Yield the sessions to record, without answers: the configured robot and action type first, then the declared.
 
     Raises:
         UserError: if a robot is not known, or the adapter needs what a script cannot show.

@@ -26,7 +26,7 @@ def describe_changes(before: GoldenPairs, after: GoldenPairs) -> Iterator[str]:
         if old is None:
             yield f"{name}: {len(session.questions)} pairs are new"
         elif (old.calls, old.cameras, old.takes) != (session.calls, session.cameras, session.takes):
-            yield f"{name}: other questions are asked, {len(session.questions)} instead of {len(old.questions)}"
+            yield f"{name}: the questions differ, {len(session.questions)} instead of {len(old.questions)}"
         else:
             yield from _answers(name, old, session)
     for name in (" ".join(key) for key in earlier):

@@ -88,7 +88,7 @@ class Import:
     def takes_adapter(self, policy: str) -> bool:
         """Tell whether it takes the adapter's own model.py; `policy` is the name of the package.
 
-        `import model` by itself is not told: which file that is depends on the path, and who records will see it.
+        `import model` alone does not count: which file it is depends on the path; recording shows it.
         """
         stem = sdk.File.MODEL_PY.removesuffix(".py")
         *folders, last = self.module.split(".")

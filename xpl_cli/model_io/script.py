@@ -141,7 +141,7 @@ def full_script(span: int) -> tuple[Call, ...]:
 
 
 def short_script() -> tuple[Call, ...]:
-    """Return few calls: for further robots and action types, and for models that are asked many times."""
+    """Return few calls: for further robots and action types, and for models with many takes."""
     stage, (one, two, _) = _CallScript(), _ENVS
     stage.reset()
     stage.show(one)
@@ -317,7 +317,7 @@ class ScriptedScene:
 
 
 def with_episode_numbers(calls: Sequence[Call]) -> Iterator[tuple[Call, int]]:
-    """Yield each call with the number of the episode that it belongs to: resets after something was shown."""
+    """Yield each call with the number of the episode that it belongs to: a reset begins the next one."""
     episode, has_observed = 0, False
     for call in calls:
         if call.reset and has_observed:

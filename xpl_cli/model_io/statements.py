@@ -50,7 +50,7 @@ class Statement:
 
 
 _LONGEST: Final = 200
-"""Characters of a value, such as statistics, that are told."""
+"""Longest text of a value, such as statistics; longer ones are cut."""
 
 
 def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
@@ -66,7 +66,7 @@ def statements(manifest: Manifest) -> dict[str, tuple[Statement, ...]]:
         values_by_place["chunk", ("temporal",)] = {"chunk": manifest.temporal.chunk}
     standings = _certainties(manifest)
     for (convention, path), values in values_by_place.items():
-        hits = [standings[held] for held in standings if _touches(held, path, values)]
+        hits = [standings[uncertain_path] for uncertain_path in standings if _touches(uncertain_path, path, values)]
         standing = max((one for one, _ in hits), key=list(Certainty).index, default=Certainty.KNOWN)
         text = ", ".join(f"{key}: {_format_value(value)}" for key, value in values.items())
         why = "; ".join(dict.fromkeys(why for _, why in hits))

@@ -171,7 +171,7 @@ def test_without_a_block_predict_is_watched_and_nothing_is_claimed(tmp_path: Pat
     (view,) = document.views
     assert (view.input, view.camera) == ("views[0]", "cam_left_wrist")
     assert view.notes == ("most like cam_left_wrist", "mirrored", "red and blue exchanged")
-    assert "nothing says what these numbers mean" in document.notes[0]
+    assert "the meaning of these numbers is unknown" in document.notes[0]
     assert "own: '<builtins.object>'" in document.notes
     assert (document.vectors, document.action) == ((), ())
 

@@ -94,7 +94,7 @@ def test_a_pose_is_drawn_where_its_words_say() -> None:
     )
     assert mark.pose[:3] == pytest.approx(observation["state"]["tcp_pose"][:3], abs=1e-5)
     assert abs(mark.pose[3:] @ observation["state"]["tcp_pose"][3:]) == pytest.approx(1, abs=1e-5)
-    assert mark.told == "s: single tcp in the base"
+    assert mark.label == "s: single tcp in the base"
 
 
 FINGER = {"gripper": {"arm": "single", "closed": 0.0, "open": 1.0}}

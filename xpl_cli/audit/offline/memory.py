@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.served.probe import Probe
 
 _ENLARGED = 3
-"""Factor of the pictures' sides: what is kept of an observation stands out from what Python itself takes and frees."""
+"""Factor of the image sides, so that a retained observation stands out from Python's own allocations."""
 _STEPS, _SECONDS = 30, 3.0
 """A stretch ends after so many steps, or so much time where a model is slow."""
 _STRETCHES = 5

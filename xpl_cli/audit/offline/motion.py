@@ -35,7 +35,7 @@ class MotionAnswer:
         obs: the newest observation of the environment.
         step: its control step.
         chunk: what the adapter answered.
-        batched: whether it was asked for together with that of other environments.
+        batched: whether it is part of a batch.
     """
 
     obs: ObservationDict

@@ -26,7 +26,7 @@ class Scale:
     """Spread of the answers of one experiment, for each key of the action.
 
     Args:
-        given: all answers of the experiment: chunks, lists of chunks, or errors, which have no place on a scale.
+        answers: of the experiment: chunks, lists of chunks, or errors, which have no place on a scale.
     """
 
     def __init__(self, answers: Iterable[object]) -> None:

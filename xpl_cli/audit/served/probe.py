@@ -206,7 +206,7 @@ class Probe(Servers):
             return policy.act(obs)
 
     def batch_answer(self, observations: Sequence[object], envs: Sequence[int] | None) -> Answer:
-        """Return the comparable answer to `get_action_batch(wanted)` after a batch of observations in a new episode."""
+        """Return the repeatable answer to `get_action_batch(envs)` after a batch of observations in a new episode."""
         with self.run() as policy:
             policy.reset()
             policy.update_obs_batch(observations)
@@ -215,7 +215,7 @@ class Probe(Servers):
     def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Answer]:
         """Run a repeatable episode of some environments in one batch; return the answer of every step.
 
-        Each environment has its own instruction, or all have the one that is given.
+        Each environment has its own instruction, or all have one.
         """
         answers = []
         with self.run() as policy:

@@ -60,7 +60,7 @@ class Servers(ABC):
     @classmethod
     @contextlib.contextmanager
     def start(cls, path: Path, options: AuditOptions) -> Iterator[Self]:
-        """Prepare to probe an adapter; its server is started when it is first asked for."""
+        """Prepare to probe an adapter; its server starts on first use."""
         started = cls(package.load(path, options.overrides), options)
         with started._open:
             yield started
@@ -177,7 +177,7 @@ class Servers(ABC):
 
     @property
     def start_problem(self) -> ServerStartError | None:
-        """Why the server did not start; None if it did, or was not asked for."""
+        """Why the server did not start; None if it did, or was not started yet."""
         return self._problem
 
     @contextlib.contextmanager

@@ -2,7 +2,7 @@
 
 Each reading of a pose has an error: the root mean square, over the rows, of its distance (mm) or angle (degrees) to
 where the joints put the flange. What is declared is beaten if another reading has a third of its error or less.
-Readings whose errors are alike cannot be told apart by these rows, and that is said.
+If errors of readings are alike, these rows do not distinguish them, and the verdict says so.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ class KinematicsVerdict:
         declared_error: of the declared reading, mm or degrees; of joints that of the first pose.
         best: the words that fit best, without those that are declared; {} if that is the declared reading.
         best_error: its error.
-        next_error: that of the next reading that can be told from it: the margin.
+        next_error: that of the next distinguishable reading: the margin.
         unit: of the errors.
         open: words that these rows leave open, with the values that fit alike.
-        because: why it cannot be told, or what is left over.
+        because: why there is no verdict, or the residual.
         unknown: words that the block leaves open.
     """
 
@@ -267,7 +267,7 @@ class _ReadingErrors:
         return float(self._errors(option, slice(word, word + 1), [self._read.targets[target]])[0, 0])
 
     def verdict(self, option: int) -> KinematicsVerdict:
-        """Return what is said of these columns, with the joints read in one way."""
+        """Return the verdict on these columns, with the joints read in one way."""
         errors = self._of(option)
         floor, declared, least = _FLOOR[self.kind], float(errors[0, 0]), float(errors.min())
         holds = declared <= max(floor, _BEATEN * least)
@@ -316,7 +316,7 @@ class _ReadingErrors:
         values = {
             key: list(dict.fromkeys(words.get(key, "none") for words in readings_alike)) for key in readings_alike[0]
         }
-        return {key: found for key, found in values.items() if len(found) > 1}
+        return {key: options_left for key, options_left in values.items() if len(options_left) > 1}
 
     def _of(self, option: int) -> np.ndarray:
         """Return the error of each reading (W, P), mm or degrees."""

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _GEOMETRY = frozenset(("resize", "letterbox", "crop"))
 _CLEARER = 0.7
-"""Share of the plain picture's difference above which nothing is said: a symmetrical picture tells nothing."""
+"""Share of the plain picture's difference above which no transform is reported: a symmetrical picture is ambiguous."""
 _LEAST = 2.0
 """Mean difference, of 255, below which pictures are alike."""
 

@@ -138,7 +138,7 @@ def of_action(
 def _columns(
     entry: Entry, vector: ModelVector, robot: Embodiment
 ) -> Iterator[tuple[str, str, Part, str, list[tuple[str, str, int, str]]]]:
-    """Yield for each number its name, unit and part, what is said of it, and its partners in the standard."""
+    """Yield for each number its name, unit and part, its description, and its partners in the standard."""
     for entry_part, item in zip(entry["parts"], vector.parts, strict=True):
         ((kind, how),) = entry_part.items()
         names = _names(kind, how, item, robot)

@@ -58,7 +58,7 @@ class PredictCall:
 def run_predict(
     package: Package, config: Config, observations: Sequence[Observation], options: RunOptions
 ) -> PredictCall:
-    """Show an adapter an episode, ask at its last observation, and return what `predict` got and said.
+    """Run an adapter on the observations of an episode, and return inputs and output of the last `predict`.
 
     Raises:
         UserError: if the adapter cannot be loaded, does not answer, or has no `predict`.

@@ -56,7 +56,7 @@ class ShowReport:
 
     Attributes:
         policy, robot, action_type: what is looked at.
-        scene: what it is shown.
+        scene: the observations.
         how: whether the model ran, in words.
         views: its pictures.
         vectors: its states.
@@ -117,7 +117,7 @@ def report_from_block(adapter: ShownAdapter, scene: ShownScene, steps: tuple[Ste
 
     Args:
         adapter: the adapter.
-        scene: what it is shown.
+        scene: the observations.
         steps: a command, and where it is from; by default one is made up.
 
     Raises:
@@ -147,16 +147,16 @@ def report_from_block(adapter: ShownAdapter, scene: ShownScene, steps: tuple[Ste
 
 
 def report_from_run(adapter: ShownAdapter, scene: ShownScene, options: predict_run.RunOptions) -> ShowReport:
-    """Return what `predict` got of a scene, and what it said.
+    """Return the inputs and the output of `predict` for a scene.
 
     Raises:
         UserError: if the adapter cannot be run.
     """
     call = predict_run.run_predict(adapter.package, adapter.config, scene.observations, options)
-    how = "Watched: what predict got and said"
+    how = "Recorded: inputs and output of predict"
     report = ShowReport(adapter.package.name, adapter.robot.name, adapter.action_type, scene, how)
     if adapter.interface is None or adapter.model_io is None:
-        notes = ["no model_io block: nothing says what these numbers mean, so that they are shown as they are"]
+        notes = ["no model_io block: the meaning of these numbers is unknown, and they are shown unchanged"]
         return replace(
             report,
             views=predict_run.find_images(call.inputs, scene.observations[-1]),
@@ -219,13 +219,13 @@ class _ShownAction:
 
     answer: np.ndarray | None
     steps: Steps
-    told: str
+    source: str
 
 
 def _fill_report(
     report: ShowReport, adapter: ShownAdapter, inputs: Mapping[str, Any], action: _ShownAction
 ) -> ShowReport:
-    """Return what is shown of a block's inputs and of an action."""
+    """Fill the report with the block's inputs and an action."""
     model_io, interface = _require_block(adapter)
     now = report.scene.observations[-1]
     state = now[sdk.Obs.STATE]
@@ -248,7 +248,7 @@ def _fill_report(
         action=[]
         if action.answer is None
         else numbers.of_action(model_io["action"], interface, action.answer, action.steps, adapter.robot),
-        action_from=action.told,
+        action_from=action.source,
         action_words=_action_words(model_io, len(action.steps)),
         figures=robot_figure.figures(adapter.robot, state, read_vectors, action.steps),
         witness=_witness(adapter),
@@ -302,7 +302,7 @@ def _made_up_steps(adapter: ShownAdapter, state: State) -> Steps:
 
 
 def _code_notes(adapter: ShownAdapter) -> list[str]:
-    """Return what the block says that code does: it is not in what is shown."""
+    """Return notes on conversions in code, which the page does not show."""
     listed = (adapter.model_io or {}).get("code") or ()
     return [f"done in code, and not shown here: {sentence}; --run shows it" for sentence in listed]
 

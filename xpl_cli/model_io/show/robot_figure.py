@@ -38,12 +38,12 @@ class Mark:
 
     Attributes:
         pose: (7,) in the world.
-        told: what it is.
+        label: what it is.
         start: where the model's numbers count from, (3,) in the world; None where they are the standard's.
     """
 
     pose: np.ndarray
-    told: str
+    label: str
     start: np.ndarray | None = None
 
 
@@ -195,8 +195,8 @@ def _figure(drawn: WorldDrawing, title: str, right: Sequence[float], up: Sequenc
     scale = (min(_WIDTH, _HEIGHT - _TITLE) - 2 * _MARGIN) / span
 
     def flat(values: np.ndarray) -> tuple[tuple[float, float], ...]:
-        seen = (np.atleast_2d(values) @ basis.T - middle) * scale
-        return tuple((_WIDTH / 2 + float(x), (_HEIGHT + _TITLE) / 2 - float(y)) for x, y in seen)
+        projected = (np.atleast_2d(values) @ basis.T - middle) * scale
+        return tuple((_WIDTH / 2 + float(x), (_HEIGHT + _TITLE) / 2 - float(y)) for x, y in projected)
 
     shapes: list[Shape] = [LineShape("ground", flat(line), 0.8) for line in grid]
     shapes += [LineShape("link", flat(line), 3.0) for line in drawn.links]
@@ -207,7 +207,7 @@ def _figure(drawn: WorldDrawing, title: str, right: Sequence[float], up: Sequenc
         if mark.start is not None:
             shapes.append(LineShape("arrow", flat(np.stack([mark.start, mark.pose[:3]])), 1.2, tip=True, dashed=True))
         shapes += _axes(mark.pose, 0.13 * span, flat)
-        shapes.append(TextShape("arrow", (8.0, _HEIGHT - 8 - 14 * number), mark.told))
+        shapes.append(TextShape("arrow", (8.0, _HEIGHT - 8 - 14 * number), mark.label))
     shapes += [
         TextShape("word", (x, y + 15), name, anchor="middle")
         for name, base in drawn.bases.items()

@@ -1,4 +1,4 @@
-"""What is shown to a model: test cards and a scripted state, or an environment's first observation, or photographs."""
+"""The scene of a report: test cards and a scripted state, or an environment's first observation, or photographs."""
 
 from __future__ import annotations
 

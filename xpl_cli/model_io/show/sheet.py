@@ -105,7 +105,7 @@ ROBOT: Final = (
 
 
 def _words(paper: _Paper, report: ShowReport) -> None:
-    """Write what is told in numbers and words."""
+    """Write the tables and texts."""
     for vector in report.vectors:
         paper.heading(f"State: {vector.input}")
         paper.lines(vector.words, 14, _SOFT)

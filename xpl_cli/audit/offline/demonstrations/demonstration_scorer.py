@@ -28,12 +28,12 @@ class DemonstrationScorer(SearchRuler):
     """Scores mistakes by the error of predicted actions with the mistake undone.
 
     Args:
-        ruler: measures against these.
-        given: the adapter's own answers to all questions, empty where it refused one.
+        metric: measures against the demonstrations.
+        answers: the adapter's own answers to all questions, empty where it refused one.
         refused: the numbers of those.
 
     Attributes:
-        first: words, convention and share of the error of all that were tried on a few questions.
+        first_round: words, convention and share of the error of all that were tried on a few questions.
         count: how many were tried.
     """
 

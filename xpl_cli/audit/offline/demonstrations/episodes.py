@@ -30,7 +30,7 @@ _LEAST, _MOST = 3, 10
 """Questions of all episodes together, and of each."""
 _GOLDEN: Final = 0.6180339887498949
 _BATCH: Final = 16
-"""Questions that are asked together."""
+"""Questions of one batch."""
 _MEMORY: Final = 64
 """Observations of an episode that are shown to a policy with a memory before its first question, at most."""
 
@@ -82,7 +82,7 @@ class RecordedSession(PairSession):
 
     Attributes:
         recordings: the episodes.
-        asked: of each question the number of its episode and its step there.
+        question_steps: of each question the number of its episode and its step there.
     """
 
     recordings: tuple[EpisodeRecording, ...] = field(default=(), repr=False)
@@ -139,8 +139,10 @@ def load_recording(trajectory: Trajectory, robot: Embodiment, action_type: str) 
         if values is None and key.endswith(sdk.State.EE_POSE):
             values = _by_kinematics(steps, key, robot)
         if values is None or values.shape[1:] != (width,):
-            held = "nothing" if values is None else f"{values.shape[1:]} numbers"
-            raise MissingDataError(f"{trajectory.key} holds {held} of action/{key}, and the policy commands ({width},)")
+            recorded_text = "nothing" if values is None else f"{values.shape[1:]} numbers"
+            raise MissingDataError(
+                f"{trajectory.key} holds {recorded_text} of action/{key}, and the policy commands ({width},)"
+            )
         commanded[key] = values
     lacking = sorted(key for key in dims if any(key not in one for one in states))
     if lacking:

@@ -36,7 +36,7 @@ class Shift:
     Attributes:
         part: the number, such as left_ee_joint_state[0].
         question, step: where it shows most; step is None for spreads, which are of all.
-        golden, given: mean, or spread, of the two.
+        golden, answer: mean, or spread, of the two.
         what: `mean` or `spread`.
         sigmas: how many standard errors they lie apart.
         limit: how many are allowed.
@@ -102,7 +102,7 @@ def average_takes(
 
 
 def _columns(session: PairSession, answers: Sequence[Sequence[Chunk]]) -> tuple[list[Answer], list[Answer]]:
-    """Return golden and given answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
+    """Return golden and adapter answers of each question, (K, steps, numbers) by key, with quaternions of one sign.
 
     Of golden chunks that are longer than the adapter's, which hands on their beginning, as much is taken.
     """

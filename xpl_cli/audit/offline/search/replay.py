@@ -52,7 +52,7 @@ def replay_calls(
     client: Client,
     session: PairSession,
     calls: Sequence[Call],
-    asked: Sequence[PairQuestion],
+    asked_questions: Sequence[PairQuestion],
     observation: Callable[[int, int], Observation],
 ) -> list[list[Chunk]]:
     """Return the answers to the questions of some calls.
@@ -61,13 +61,13 @@ def replay_calls(
         client: of the adapter.
         session: of the calls.
         calls: some calls of the session.
-        asked: the questions of these calls, in order.
+        asked_questions: the questions of these calls, in order.
         observation: returns the observation of an environment and an index.
 
     Raises:
         RefusedError: if an answer is an error or no chunk.
     """
-    pending: Iterator[PairQuestion] = iter(asked)
+    pending: Iterator[PairQuestion] = iter(asked_questions)
     answers: list[list[Chunk]] = []
     last_observed: tuple[int, ...] = ()
     for call in calls:
