@@ -239,7 +239,7 @@ def test_a_loop_is_not_told_where_things_are(stage: _Stage) -> None:
         ("import os, signal; os.kill(os.getpid(), signal.SIGSTOP)", "did not answer within"),
         ("while True: pass", "did not answer within"),
         ("import os; os.closerange(3, 99); os._exit(0)", "evaluation loop"),
-        ("env._judge._channel._socket.sendall(b'x' * 64)", "link"),
+        ("env._evaluator._channel._socket.sendall(b'x' * 64)", "link"),
     ],
     ids=["exit", "segfault", "stopped", "spins", "hangs up", "garbage"],
 )
@@ -269,19 +269,19 @@ def test_a_loop_that_raises_says_what(stage: _Stage, body: str, said: str) -> No
 
 
 @pytest.mark.parametrize(
-    "question",
+    "message",
     [
-        "{'ask': 'task_env', 'operation': 'reset'}",
-        "{'ask': 'task_env', 'operation': 'close'}",
-        "{'ask': ['task_env'], 'operation': {}}",
-        "{'ask': 'client', 'operation': '__class__'}",
+        "{'target': 'task_env', 'operation': 'reset'}",
+        "{'target': 'task_env', 'operation': 'close'}",
+        "{'target': ['task_env'], 'operation': {}}",
+        "{'target': 'client', 'operation': '__class__'}",
         "{'raised': 7}",
         "[]",
     ],
 )
-def test_what_is_no_question_is_not_answered(stage: _Stage, question: str) -> None:
-    """A loop that speaks for itself on the link gets no farther than one that uses the stand-ins."""
-    body = f"channel = env._judge._channel\nchannel.send({question}, [b''])\nchannel.receive()"
+def test_an_invalid_request_is_not_answered(stage: _Stage, message: str) -> None:
+    """A loop that writes to the link itself gets no farther than one that uses the proxies."""
+    body = f"channel = env._evaluator._channel\nchannel.send({message}, [b''])\nchannel.receive()"
     with pytest.raises(LoopLostError):
         stage.play(body)
 
