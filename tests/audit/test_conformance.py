@@ -1,4 +1,4 @@
-"""Every rule is well formed, catches the subjects it must catch, and leaves its near misses alone."""
+"""Every rule is well formed, catches its bad fixtures, and accepts its good ones."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule
 
 NAME = "Subject"
-"""Folder of a subject; the manifests of environment subjects bear it."""
+"""Folder name of a fixture, and name in the manifests of environment fixtures."""
 TASK = "lift_cube"
-"""In which the physics gate drives a subject; what a rule says of it shows in one."""
+"""Task of the MuJoCo gate for fixtures; one is enough."""
 HEADINGS = ("What it does", "Why it matters", "Example", "Use instead", "Fix safety")
 HUNDREDS = {
     "static": "1",
@@ -42,13 +42,13 @@ HUNDREDS = {
 }
 RULES = registry.rules()
 LONG = {"batch-motion", "mypy-errors", "golden-parity", "shared-clients", "text-as-flag"}
-"""Rules of whose subjects each takes three to six seconds of processor time."""
+"""Rules of whose fixtures each takes three to six seconds of processor time."""
 OPEN = {"placeholders"}
 """Rules that a fresh scaffold does not satisfy, on purpose: its author has not filled it in yet."""
 
 
 def _cases() -> Iterator[Any]:
-    """Yield every subject with its rule.
+    """Yield every fixture with its rule.
 
     Each is a served adapter where the gate is not the static one. Of those the quick run has a bad one for every
     sixteenth rule, and a good one for every fortieth, but for those that take as long as ten others.
@@ -57,12 +57,12 @@ def _cases() -> Iterator[Any]:
     for rule in RULES:
         held_against = rule.folder.parent.name == "demonstrations"
         number, seen = next(served) if rule.gate is not Gate.STATIC and not held_against else 0, set()
-        for subject in fixtures(rule):
-            is_quick = subject.good not in seen and number % (40 if subject.good else 16) == 0 and not held_against
-            seen.add(subject.good)
+        for fixture in fixtures(rule):
+            is_quick = fixture.good not in seen and number % (40 if fixture.good else 16) == 0 and not held_against
+            seen.add(fixture.good)
             is_quick = (is_quick or rule.gate is Gate.STATIC) and rule.slug not in LONG
             marks = [] if is_quick else [pytest.mark.slow]
-            yield pytest.param(rule, subject, id=f"{rule.slug}-{subject.name}", marks=marks)
+            yield pytest.param(rule, fixture, id=f"{rule.slug}-{fixture.name}", marks=marks)
 
 
 CASES = list(_cases())
@@ -96,7 +96,7 @@ def test_codes_have_no_gaps_and_tell_the_folder() -> None:
 def test_a_rule_is_what_its_place_says_documented_and_tried_both_ways(entry: registry.RuleEntry) -> None:
     """Its file begins with its code, which decides whether it is imported for a gate.
 
-    It proves a requirement, every heading of its docstring has text below, and it has a subject that it must catch and
+    It proves a requirement, every heading of its docstring has text below, and it has a fixture that it must catch and
     one that it must leave alone.
     """
     rule = entry.load()
@@ -108,19 +108,19 @@ def test_a_rule_is_what_its_place_says_documented_and_tried_both_ways(entry: reg
     assert [section.partition("\n")[0] for section in sections] == list(HEADINGS)
     assert all(section.partition("\n")[2].strip() for section in sections)
     found = list(fixtures(rule))
-    assert {subject.good for subject in found} == {True, False}
-    assert all(subject.message for subject in found if not subject.good)
+    assert {fixture.good for fixture in found} == {True, False}
+    assert all(fixture.message for fixture in found if not fixture.good)
 
 
-@pytest.mark.parametrize(("rule", "subject"), CASES)
-def test_a_rule_tells_its_subjects_apart(rule: Rule, subject: Fixture, tmp_path: Path) -> None:
-    """It catches a bad subject, and says what the subject's overlay asks for; it leaves a good one alone."""
-    result = _audit(rule, build(subject, tmp_path / NAME))
-    if subject.good:
+@pytest.mark.parametrize(("rule", "fixture"), CASES)
+def test_a_rule_tells_its_fixtures_apart(rule: Rule, fixture: Fixture, tmp_path: Path) -> None:
+    """It catches a bad fixture with the message of its overlay, and accepts a good one."""
+    result = _audit(rule, build(fixture, tmp_path / NAME))
+    if fixture.good:
         assert result.outcome in {Outcome.PASS, Outcome.NOT_APPLICABLE}, (result.reason, result.findings)
         return
     assert result.outcome in {Outcome.FAIL, Outcome.WARN}, (result.outcome, result.reason)
-    assert any(str(subject.message) in finding.message for finding in result.findings), result.findings
+    assert any(str(fixture.message) in finding.message for finding in result.findings), result.findings
     for finding in result.findings:
         assert finding.expected
         assert finding.got

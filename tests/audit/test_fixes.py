@@ -31,23 +31,23 @@ STATIC = AuditOptions(gates=(Gate.STATIC,))
 
 SHOWS = {("file-order", "number-as-text")}
 """Rules whose fix shows what another one finds: names that are sorted are seen to be sorted as text."""
-SUBJECTS = [
-    pytest.param(rule, subject, id=f"{rule.slug}-{subject.folder.name}")
+FIXTURES = [
+    pytest.param(rule, fixture, id=f"{rule.slug}-{fixture.folder.name}")
     for rule in registry.rules()
     if rule.gate is Gate.STATIC
-    for subject in fixtures(rule)
-    if not subject.good
+    for fixture in fixtures(rule)
+    if not fixture.good
 ]
 
 
 @pytest.mark.sampled(40)
-@pytest.mark.parametrize(("rule", "subject"), SUBJECTS)
-def test_a_fix_that_is_called_safe_can_be_carried_out_and_cures(rule: Rule, subject: Fixture, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rule", "fixture"), FIXTURES)
+def test_a_fix_that_is_called_safe_can_be_carried_out_and_cures(rule: Rule, fixture: Fixture, tmp_path: Path) -> None:
     """It has edits; each alone makes its finding go away, no file stops parsing, and the rule finds nothing new.
 
     All fixes of the gate together leave none of its findings that carried edits, and no rule finds more than before.
     """
-    adapter = build(subject, tmp_path / "audited" / "Subject")
+    adapter = build(fixture, tmp_path / "audited" / "Subject")
     options = AuditOptions(gates=(Gate.STATIC,), names=(rule.slug,))
     before = engine.audit(adapter, rule.target, options)
     assert _findings(before, rule.slug)

@@ -33,11 +33,11 @@ def newest_observation(simulation: Simulation) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    found = reactions(simulation)
-    if all(reaction.lags for reaction in found):
-        late = all(reaction.late >= (reaction.older or 0.0) for reaction in found)
-        moved = ", ".join(f"{reaction.newest:.2g}" for reaction in found)
-        before = ", ".join(f"{reaction.before:.2g}" for reaction in found)
+    measured = reactions(simulation)
+    if all(reaction.lags for reaction in measured):
+        late = all(reaction.late >= (reaction.older or 0.0) for reaction in measured)
+        moved = ", ".join(f"{reaction.newest:.2g}" for reaction in measured)
+        before = ", ".join(f"{reaction.before:.2g}" for reaction in measured)
         yield blame(
             f"in {simulation.first} actions lag behind: "
             + (
@@ -45,18 +45,18 @@ def newest_observation(simulation: Simulation) -> Iterator[Finding]:
                 if late
                 else "they follow the observation of the step before"
             )
-            + (", and little in its own" if any(reaction.newest for reaction in found) else ""),
+            + (", and little that of its own" if any(reaction.newest for reaction in measured) else ""),
             expected="an action that changes with the newest observation",
             got=f"it moves by {moved} of its spread with the newest, by {before} with the one before",
             evidence={
                 "questions": [
                     {
-                        "question": reaction.question,
+                        "question": reaction.inference,
                         "moved_by_newest": round(reaction.newest, 4),
                         "moved_by_step_before": None if reaction.older is None else round(reaction.older, 4),
                         "next_moved": round(reaction.late, 4),
                     }
-                    for reaction in found
+                    for reaction in measured
                 ]
             },
             fix=Fix(
