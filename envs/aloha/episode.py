@@ -75,7 +75,7 @@ class AlohaEpisode(Episode):
         """Begin an episode; the seed draws where the objects lie."""
         obs, _ = self._env.reset(seed=seed)
         self._reward, self._highest = 0, 0
-        self._told: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
         self._look(obs)
         self._expert.begin(self._state, self._objects())
 
@@ -87,8 +87,8 @@ class AlohaEpisode(Episode):
         """Execute one action step: gym-aloha takes it as it is."""
         keys = (spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE)
         parts = [action[f"{arm}_{key}"] for arm in self._arms for key in keys]
-        self._told = np.concatenate(parts).astype(np.float64)
-        obs, self._reward, _, _, _ = self._env.step(self._told)
+        self._last_command = np.concatenate(parts).astype(np.float64)
+        obs, self._reward, _, _, _ = self._env.step(self._last_command)
         self._highest = max(self._highest, self._reward)
         self._look(obs)
         self._expert.advance()
@@ -114,7 +114,7 @@ class AlohaEpisode(Episode):
         env = self._env
         size = (env.observation_height, env.observation_width)
         top = self._renderer.drawn("top", *size) if self.setup.cameras else _NO_PICTURE
-        return Simulated({"agent_pos": self._obs["agent_pos"], "pixels": {"top": top}}, self._told)
+        return Simulated({"agent_pos": self._obs["agent_pos"], "pixels": {"top": top}}, self._last_command)
 
     def close(self) -> None:
         """Release the simulator and what draws."""

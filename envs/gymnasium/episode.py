@@ -50,7 +50,7 @@ class GymnasiumEpisode(Episode):
         obs, info = self._env.reset(seed=seed)
         self._sources: dict[str, Any] = {spec.Payload.OBS: obs, "info": info, "reward": 0.0}
         self._ended: str | None = None
-        self._told: NDArray[np.float64] | None = None
+        self._last_command: NDArray[np.float64] | None = None
 
     def state(self) -> dict[str, NDArray[np.float64]]:
         """Return the robot's state according to the mapping."""
@@ -65,8 +65,8 @@ class GymnasiumEpisode(Episode):
                 f"{self.mapping.id} takes {self._low.shape[0]} numbers, the mapping gives {command.size}"
             )
         allowed = np.clip(command, self._low, self._high)
-        self._told = allowed.astype(self._dtype)
-        obs, reward, terminated, truncated, info = self._env.step(self._told)
+        self._last_command = allowed.astype(self._dtype)
+        obs, reward, terminated, truncated, info = self._env.step(self._last_command)
         self._sources = {spec.Payload.OBS: obs, "info": info, "reward": float(reward)}
         if terminated or truncated:
             self._ended = "terminated" if terminated else "truncated"
@@ -95,7 +95,7 @@ class GymnasiumEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return Gymnasium's own observation, and its last action."""
-        return Simulated(self._sources[spec.Payload.OBS], self._told)
+        return Simulated(self._sources[spec.Payload.OBS], self._last_command)
 
     def close(self) -> None:
         """Close the Gymnasium environment."""

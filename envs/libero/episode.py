@@ -67,7 +67,7 @@ class LiberoEpisode(Episode):
         self._site = robot.eef_site_id
         self._tool = compose(invert(self._flange()), self._grip())
         self._success = False
-        self._told: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
         self._look(obs)
         self._changes.begin(self._clipped_delta(self._state[spec.State.EE_POSE].astype(np.float32)))
 
@@ -80,8 +80,8 @@ class LiberoEpisode(Episode):
         target = self._clipped_delta(action[spec.State.EE_POSE])
         change = self._changes.delta(target, self._clipped_delta(self._flange())) / _SCALE
         move, past = clip(change.tolist(), together=self._changes.counted_from == MEASURED)
-        self._told = np.append(move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0]))
-        obs, _, self._success, _ = self._env.step(self._told)
+        self._last_command = np.append(move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0]))
+        obs, _, self._success, _ = self._env.step(self._last_command)
         self._look(obs)
         return {self.setup.embodiment.prefixes[0]: {ACTION_RANGE: past}} if past > _SLACK else {}
 
@@ -103,7 +103,7 @@ class LiberoEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return LIBERO's own observation, and its last action (7,)."""
-        return Simulated(self._obs, self._told)
+        return Simulated(self._obs, self._last_command)
 
     def close(self) -> None:
         """Release the simulator."""

@@ -60,7 +60,7 @@ class ManiSkillEpisode(Episode):
         self._obs, info = self._env.reset(seed=seed)
         self._random = self._torch.get_rng_state()
         self._success = bool(info.get("success", False))
-        self._told: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
         for arm in self._arms:
             arm.begin()
         if self._planner is not None:
@@ -74,7 +74,7 @@ class ManiSkillEpisode(Episode):
         """Execute one action step."""
         pairs = [arm.controller_command(_of(arm, action)) for arm in self._arms]
         commands = [command.astype(np.float32) for command, _ in pairs]
-        self._told = np.concatenate(commands)
+        self._last_command = np.concatenate(commands)
         self._torch.set_rng_state(self._random)
         outcome = self._env.step(self._as_agents(commands))
         self._random = self._torch.get_rng_state()
@@ -106,7 +106,7 @@ class ManiSkillEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return ManiSkill's own observation, and the last commands of its controllers, one arm after the other."""
-        return Simulated(_plain(self._obs), self._told)
+        return Simulated(_plain(self._obs), self._last_command)
 
     def close(self) -> None:
         """Release the simulator."""

@@ -35,7 +35,7 @@ _JOINTS = 7  # qpos begins with the arm's
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _ObservedState:
     """Where MuJoCo writes what a state is made of: views of its memory, which each step and reset fill anew."""
 
     pulled: NDArray[np.float64]
@@ -47,7 +47,7 @@ class _Seen:
     right: NDArray[np.float64]
 
     @classmethod
-    def of(cls, model: Any, data: Any) -> _Seen:
+    def of(cls, model: Any, data: Any) -> _ObservedState:
         """Return the views of one simulation."""
         flange, hand = (model.body(name).id for name in ("right_l6", "hand"))
         left, right = (data.site_xpos[model.site(f"{side}EndEffector").id] for side in ("left", "right"))
@@ -78,7 +78,7 @@ class MetaWorldEpisode(Episode):
         env.seeded_rand_vec = True
         env.touching_object = GraspContacts(env).touches
         self._policy = ENV_POLICY_MAP[name]()
-        self._seen = _Seen.of(env.model, env.data)
+        self._seen = _ObservedState.of(env.model, env.data)
         self._changes = PoseDeltas(COMMANDED if "delta" in words else MEASURED)
         self._renderer = CameraRenderer(env.model, setup, is_fast="fast" in words)
 
@@ -87,7 +87,7 @@ class MetaWorldEpisode(Episode):
         self._env.seed(seed)
         obs, _ = self._env.reset()
         self._success = False
-        self._told: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
         self._look(obs)
         self._changes.begin(self._state[spec.State.EE_POSE])
 
@@ -102,8 +102,8 @@ class MetaWorldEpisode(Episode):
         # What is pulled is where an absolute command counts from, and not the hand, which lags behind.
         change = [moved / self._env.action_scale for moved in self._changes.translation(target, self._pulled)]
         move, past = clip(change, together=self._changes.counted_from == MEASURED)
-        self._told = np.array([*move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0])])
-        obs, _, _, _, info = self._env.step(self._told)
+        self._last_command = np.array([*move, 1.0 - 2.0 * float(action[spec.State.EE_JOINT_STATE][0])])
+        obs, _, _, _, info = self._env.step(self._last_command)
         self._look(obs)
         self._success = bool(info["success"])
         corrections = {ACTION_RANGE: past} if past > _SLACK else {}
@@ -134,7 +134,7 @@ class MetaWorldEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return Meta-World's own observation (39,), and its last action (4,)."""
-        return Simulated(self._obs, self._told)
+        return Simulated(self._obs, self._last_command)
 
     def close(self) -> None:
         """Release the simulator and what draws."""

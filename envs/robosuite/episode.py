@@ -68,7 +68,7 @@ class RobosuiteEpisode(Episode):
         self._env.rng.bit_generator.state = np.random.default_rng(seed).bit_generator.state
         obs = self._env.reset()
         self._success, self._is_over = False, False
-        self._told: np.ndarray | None = None
+        self._last_command: np.ndarray | None = None
         for arm in self._arms:
             arm.find(self._env)
         self._look(obs)
@@ -88,8 +88,8 @@ class RobosuiteEpisode(Episode):
             parts.append(np.append(move, 1.0 - 2.0 * opening) if arm.has_fingers else move)
             if past > _SLACK:
                 corrections[arm.prefix] = {ACTION_RANGE: past}
-        self._told = np.concatenate(parts)
-        obs, _, self._is_over, _ = self._env.step(self._told)
+        self._last_command = np.concatenate(parts)
+        obs, _, self._is_over, _ = self._env.step(self._last_command)
         self._success = bool(self._env._check_success())  # noqa: SLF001 - there is no public access
         self._look(obs)
         return corrections
@@ -112,7 +112,7 @@ class RobosuiteEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return robosuite's own observation, and its last action, its first robot's first."""
-        return Simulated(self._obs, self._told)
+        return Simulated(self._obs, self._last_command)
 
     def close(self) -> None:
         """Release the simulator."""

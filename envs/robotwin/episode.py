@@ -61,7 +61,7 @@ class RoboTwinEpisode(Episode):
         task = self._task
         task.set_instruction(instruction=wordings[seed % len(wordings)] if wordings else self.setup.task)
         task.step_lim = self.setup.max_steps  # at which RoboTwin stops listening
-        self._told: NDArray[np.float32] | None = None
+        self._last_command: NDArray[np.float32] | None = None
         self._seen: dict[str, Any] | None = None
 
     @property
@@ -76,9 +76,9 @@ class RoboTwinEpisode(Episode):
 
     def step(self, action: Mapping[str, Any]) -> dict[str, dict[str, float]]:
         """Execute one action step, which takes as long as its motion does."""
-        self._told, kind = convert.command(action, self.setup.embodiment, self.setup.action_type)
+        self._last_command, kind = convert.command(action, self.setup.embodiment, self.setup.action_type)
         with quiet():
-            self._task.take_action(self._told, action_type=kind)
+            self._task.take_action(self._last_command, action_type=kind)
         self._seen = None
         return {} if kind != convert.ACTION_TYPES["ee"] or self._task.eval_success else self._missed_targets(action)
 
@@ -92,7 +92,7 @@ class RoboTwinEpisode(Episode):
 
     def simulated(self) -> Simulated:
         """Return RoboTwin's own observation, and its last flat command."""
-        return Simulated(self._observe(), self._told)
+        return Simulated(self._observe(), self._last_command)
 
     def close(self) -> None:
         """Close RoboTwin's scene."""

@@ -42,14 +42,14 @@ class Script:
     def __init__(
         self, workers: int, answer: Callable[[RolloutJob], list[RolloutResult]], turn: Callable[[int], int]
     ) -> None:
-        self.lanes = workers
+        self.workers = workers
         self.answer = answer
         self.turn = turn
         self.playing: list[RolloutJob] = []
         self.played: list[RolloutJob] = []
 
     def free(self) -> int:
-        return self.lanes - len(self.playing)
+        return self.workers - len(self.playing)
 
     def submit(self, job: RolloutJob) -> None:
         assert self.free() > 0
