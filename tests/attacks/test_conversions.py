@@ -57,7 +57,7 @@ LIES: dict[str, tuple[str, Change]] = {
     "a camera for a vector": ("a column state", _put("names", {"observation.images.cam_head": "state"})),
     "two of one name": ("a column action", _put("names", {"observation.state": "state", "action": "state"})),
     "a part in a part": (
-        "state/x and state/x/y not beside each other",
+        "both state/x and state/x/y",
         _put("packed series", {"state": [["state/x", 3], ["state/x/y", 3]]}),
     ),
 }
