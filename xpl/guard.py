@@ -224,9 +224,9 @@ class GuardedEnv:
 class _CallObserver:
     """A client that reports calls for actions; everything else is passed on."""
 
-    def __init__(self, client: Any, asked: Callable[[], None]) -> None:
+    def __init__(self, client: Any, on_inference: Callable[[], None]) -> None:
         self._client = client
-        self._asked = asked
+        self._on_inference = on_inference
 
     def __getattr__(self, name: str) -> Any:
         found = getattr(self._client, name)
@@ -234,7 +234,7 @@ class _CallObserver:
             return found
 
         def ask(*args: Any, **kwargs: Any) -> Any:
-            self._asked()
+            self._on_inference()
             return found(*args, **kwargs)
 
         return ask
@@ -242,5 +242,5 @@ class _CallObserver:
     def call(self, func_name: str, *args: Any, **kwargs: Any) -> Any:
         """Call an operation by name."""
         if func_name in _INFERENCE:
-            self._asked()
+            self._on_inference()
         return self._client.call(func_name, *args, **kwargs)

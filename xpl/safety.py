@@ -292,7 +292,7 @@ class _PoseBounds:
         ]
 
     def is_plain(self, target: list[float], last: list[float]) -> bool:
-        """Tell by few numbers that a pose needs no correction: most do not, and this is asked in every control step.
+        """Return by a fast check whether a pose needs no correction, as in most control steps.
 
         A little inside of the bounds, where the exact way could not tell otherwise.
         """

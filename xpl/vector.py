@@ -270,8 +270,8 @@ class VectorEnv:
         """Return the outcomes of the environments of running workers."""
         return {
             index: {**result, spec.Obs.ENV_IDX: index}
-            for worker, (told,) in self._workers.run({worker: [_RESULTS] for worker in workers}).items()
-            for index, result in zip(self._shares[worker], told)
+            for worker, (outcomes,) in self._workers.run({worker: [_RESULTS] for worker in workers}).items()
+            for index, result in zip(self._shares[worker], outcomes)
         }
 
     def _infrastructure_error(self, env: int) -> Result:

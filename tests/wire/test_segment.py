@@ -66,7 +66,7 @@ def sides(folder: Path) -> Iterator[Sides]:
 
 
 def passed_on(sides: Sides, array: np.ndarray) -> np.ndarray:
-    placed = sides.client.place(array)
+    placed = sides.client.store(array)
     assert placed is not None
     return sides.worker.find(*placed, array.dtype, array.shape)
 
@@ -216,7 +216,7 @@ def test_views_outlive_everyone_but_the_adapter(folder: Path) -> None:
 
 def test_a_client_that_shrinks_the_memory_ends_nobody(sides: Sides) -> None:
     """A worker that had mapped it would be ended by a signal, with all the clients that share it."""
-    placed = sides.client.place(np.arange(100))
+    placed = sides.client.store(np.arange(100))
     assert placed is not None
     os.ftruncate(sides.client._file, placed[1] + 8)
     with pytest.raises(PackingError, match="the shared memory has shrunk: 8 of 800 bytes"):
@@ -241,7 +241,7 @@ def test_blocks_that_overlap_take_no_more_than_there_is(sides: Sides) -> None:
 
 def test_nothing_else_is_found(sides: Sides) -> None:
     uint8 = np.dtype(np.uint8)
-    placed = sides.client.place(np.zeros(100, np.uint8))
+    placed = sides.client.store(np.zeros(100, np.uint8))
     assert placed is not None
     block, offset = placed
     wrong: list[tuple[Any, Any, Any]] = [
@@ -255,7 +255,7 @@ def test_nothing_else_is_found(sides: Sides) -> None:
             sides.worker.find(number, at, uint8, shape)
     with pytest.raises((PackingError, ValueError)):
         sides.worker.find(block, offset, uint8, [1] * 100)
-    placed = sides.client.place(np.zeros(100, np.uint8))
+    placed = sides.client.store(np.zeros(100, np.uint8))
     assert placed is not None
     found = sides.worker.find(*placed, uint8, [100])
     with pytest.raises(PackingError, match="holds no array"):
@@ -269,30 +269,30 @@ def test_nothing_else_is_found(sides: Sides) -> None:
 
 
 def test_without_room_an_array_is_not_placed(sides: Sides) -> None:
-    assert sides.client.place(np.zeros(ROOM + 1, np.uint8)) is None
-    whole = sides.client.place(np.zeros(ROOM, np.uint8))
+    assert sides.client.store(np.zeros(ROOM + 1, np.uint8)) is None
+    whole = sides.client.store(np.zeros(ROOM, np.uint8))
     assert whole is not None
-    assert sides.client.place(np.zeros(1, np.uint8)) is None
+    assert sides.client.store(np.zeros(1, np.uint8)) is None
     sides.worker.find(*whole, np.dtype(np.uint8), [ROOM])
-    half = sides.client.place(np.zeros(ROOM // 2, np.uint8))
+    half = sides.client.store(np.zeros(ROOM // 2, np.uint8))
     assert half is not None
-    assert sides.client.place(np.zeros(ROOM // 2 + 100, np.uint8)) is None
+    assert sides.client.store(np.zeros(ROOM // 2 + 100, np.uint8)) is None
     assert passed_on(sides, np.ones(ROOM // 2 - 100, np.uint8)).all()
     assert not sides.worker.find(*half, np.dtype(np.uint8), [ROOM // 2]).any()
 
 
 def test_without_a_block_an_array_is_not_placed(sides: Sides) -> None:
-    held = [sides.client.place(np.full(1, number % 251, np.uint8)) for number in range(S["blocks"])]
-    assert sides.client.place(np.zeros(1, np.uint8)) is None
+    held = [sides.client.store(np.full(1, number % 251, np.uint8)) for number in range(S["blocks"])]
+    assert sides.client.store(np.zeros(1, np.uint8)) is None
     found = [sides.worker.find(*placed, np.dtype(np.uint8), [1]) for placed in held if placed is not None]
     assert [int(one[0]) for one in found] == [number % 251 for number in range(S["blocks"])]
-    assert sides.client.place(np.zeros(1, np.uint8)) is not None
+    assert sides.client.store(np.zeros(1, np.uint8)) is not None
 
 
 def test_the_same_memory_is_used_again(sides: Sides) -> None:
     places = set()
     for _ in range(5):
-        placed = sides.client.place(np.zeros(1000, np.uint8))
+        placed = sides.client.store(np.zeros(1000, np.uint8))
         assert placed is not None
         places.add(placed[1])
         sides.worker.find(*placed, np.dtype(np.uint8), [1000])

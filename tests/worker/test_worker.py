@@ -377,7 +377,7 @@ def test_a_request_that_fails_keeps_no_shared_memory(
     """)
     worker.load(folder, serving={"shared": shared})
     worker.ask(op="map", segment=1, path=str(segment.path), size=segment.size)
-    sends = [request("update_obs", image(1), place=arena.place, segment=1, client=client) for client in range(2)]
+    sends = [request("update_obs", image(1), place=arena.store, segment=1, client=client) for client in range(2)]
     assert [answer["error"]["type"] for answer in worker.run(*sends)] == ["ValueError"] * 2
     assert states(arena) == {spec.SHARED_MEMORY["free"]}
 

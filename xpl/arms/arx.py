@@ -67,7 +67,7 @@ class ArxDriver(Driver):
             controller.set_joint_cmd(target)
 
     def estop(self) -> None:
-        """Damp: the arms sink slowly and push nobody."""
+        """Damp: the arms sink slowly without force."""
         for controller in self._arms:
             controller.set_to_damping()
 

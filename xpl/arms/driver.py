@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Numbers = Mapping[str, NDArray[np.float64]]
-    """What an arm measures or is told, by name of the state: rad, and 0 to 1 for grippers."""
+    """Measured or commanded values of an arm by key of the state: rad, and 0..1 for grippers."""
 
 
 class DriverError(RuntimeError):

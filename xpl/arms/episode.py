@@ -54,8 +54,8 @@ class Care:
         follow_rad, follow_steps: distance between what was commanded and what is measured, rad, that ends the episode
             if it lasts for so many control steps.
         pause_s: seconds of a pause, or of a dead-man let go, after which the episode ends.
-        dead_man: whether the arm moves only while somebody holds the switch (`xpl.arms.watch`).
-        ask: whether people are asked; without, nobody lays out a scene and the score stays 0.
+        dead_man: whether the arm moves only while a person holds the switch (`xpl.arms.watch`).
+        ask: whether a person is asked to set up the scene and to judge; otherwise the score stays 0.
     """
 
     home_speed: float = 0.15
@@ -139,7 +139,7 @@ class ArmEpisode(Episode):
         return {name: {spec.Camera.COLOR: picture.image} for name, picture in self._present.pictures.items()}
 
     def step(self, action: Action) -> Corrections:
-        """Command one control step, when its time has come; hold the pose instead where somebody says so."""
+        """Command one control step, when its time has come; hold the pose instead if a person pauses."""
         self._step += 1
         self._await_turn()
         if self._ended is None and not self._may_move():
@@ -172,11 +172,11 @@ class ArmEpisode(Episode):
         return self._ended
 
     def truth(self) -> Observation:
-        """Return nothing: nobody knows where things are."""
+        """Return nothing: there is no ground truth."""
         return {}
 
     def close(self) -> None:
-        """Hold the arm, and let go of it; once, whoever asks first."""
+        """Hold the arm and release it, once."""
         self.let_go()
         if self._recorder is not None:
             self._recorder.close()
@@ -227,7 +227,7 @@ class ArmEpisode(Episode):
         self._target = {**(self._target or {}), **targets}
 
     def _keep(self) -> None:
-        """Stay at the last target, also where an arm has to be told so again and again."""
+        """Stay at the last target; repeat the command for arms that need it."""
         if self._target is not None and self._driver is not None:
             self._command(self._target)
 
@@ -239,7 +239,7 @@ class ArmEpisode(Episode):
             time.sleep(self._next - now)
 
     def _may_move(self) -> bool:
-        """Wait while somebody pauses; return whether the arm may move now."""
+        """Wait during a pause; return whether the arm may move now."""
         began = time.monotonic()
         while (word := self._watch.word()) == PAUSE:
             self._keep()

@@ -22,7 +22,7 @@ DESK = "XPL_QUESTIONS"
 """Environment variable with the folder of the desk."""
 
 ASKS = "XPL_ARM_ASKS"
-"""Environment variable that is "no" where nobody is to be asked, as in an audit."""
+"""Environment variable that is "no" if no person may be asked, as in an audit."""
 
 QUESTION, ANSWER = ".question.json", ".answer"
 _LOOK_S = 0.05
@@ -35,7 +35,7 @@ def ask(text: str, answers: Sequence[str], meanwhile: Callable[[], None] = lambd
     Args:
         text: the question, a sentence.
         answers: what may be answered, in words; the number of one counts as well.
-        meanwhile: called again and again while nobody has answered, for example to hold an arm.
+        meanwhile: called repeatedly until there is an answer, for example to hold an arm.
     """
     folder = os.environ.get(DESK)
     if folder is None and _is_terminal():
@@ -70,7 +70,7 @@ def match_answer(text: str, answers: Sequence[str]) -> str | None:
 
 
 def _put(folder: Path, text: str, answers: Sequence[str]) -> str:
-    """Write a question that nobody else writes, whole at once; return its number."""
+    """Write a question atomically under a new number; return the number."""
     for count in range(1, 100000):
         number = f"{count:03d}"
         if (folder / f"{number}{ANSWER}").exists():
@@ -84,7 +84,7 @@ def _put(folder: Path, text: str, answers: Sequence[str]) -> str:
         finally:
             draft.unlink()
         return number
-    raise RuntimeError(f"{folder} is full of questions that nobody has answered")
+    raise RuntimeError(f"{folder} is full of unanswered questions")
 
 
 def _take_answer(path: Path) -> str | None:

@@ -26,7 +26,7 @@ class Watch:
     """What the person at the switch says now.
 
     Args:
-        path: the file; that of `XPL_ARM_WATCH` by default. Without one nobody watches.
+        path: the file; that of `XPL_ARM_WATCH` by default. Without one there is no switch.
         dead_man: whether the arm moves only as long as the file is fresh.
 
     Raises:
@@ -41,7 +41,7 @@ class Watch:
         self._dead_man = dead_man
 
     def word(self) -> str:
-        """Return `go`, `pause` or `stop`; a dead-man that nobody holds is a pause."""
+        """Return `go`, `pause` or `stop`; a released dead-man switch is a pause."""
         if self._path is None:
             return GO
         try:

@@ -50,7 +50,7 @@ class EcosystemFinder:
         self._names = frozenset((checkout.PACKAGE, *names))
 
     def install(self) -> None:
-        """Be asked from now on, by imports that no file serves, in place of any that was there before.
+        """Install this finder after those of files, in place of an earlier one.
 
         What stands in for modules that are nowhere comes after it.
         """

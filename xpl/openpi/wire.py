@@ -30,7 +30,7 @@ class OpenpiCodec(Codec):
         self._names = OpenpiNames.of(config)
 
     def encode_greeting(self, policy: Mapping[str, Any]) -> bytes:
-        """Return the metadata: what openpi's clients are told first."""
+        """Return the metadata, which openpi's clients receive first."""
         names = self._names
         return codec.pack(
             {

@@ -50,7 +50,7 @@ def canonical(name: object) -> str | None:
     """Return the name of the robot that a word stands for; None where no robot is called so.
 
     Raises:
-        EntryPointError: nobody here knows it, and the robots of an installed package cannot be read.
+        EntryPointError: the name is unknown, and the robots of an installed package cannot be read.
     """
     if not isinstance(name, str):
         return None
@@ -178,7 +178,7 @@ def whole(entry: Entry) -> dict[str, Any]:
 
 
 def _listen() -> None:
-    """Take over the robots that whoever started this process handed on."""
+    """Add the robots that the parent process passed on."""
     handed = os.environ.get(HANDED_ON, "")
     if not handed or handed in _heard:
         return

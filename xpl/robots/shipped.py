@@ -1,4 +1,4 @@
-"""Robots that come with `xpl`, from `robots.json`, which `xpl spec compile` writes; read when one is asked for."""
+"""Robots that come with `xpl`, from `robots.json`, which `xpl spec compile` writes; read on first use."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What is said of errors: text that can always be sent, whatever an adapter or a peer put into it. Standard library.
 
 An exception's text may hold lone surrogates, which no encoder takes; it may be longer than a frame; and making it runs
-code of the adapter, which may raise. Everything that tells somebody of an error goes through here.
+code of the adapter, which may raise. Every report of an error uses it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import Any
 
 SENTENCE = 4096
-"""Characters of what a client is told of an error."""
+"""Most characters of an error that is sent to a client."""
 TRACEBACK = 1 << 16
 """Characters of a traceback in the log."""
 _LEVELS = 8
@@ -50,7 +50,7 @@ def _written_out(char: str) -> str:
 
 
 def text_of(value: object) -> str:
-    """Return `str(value)`, also of an object that raises when it is asked for it."""
+    """Return `str(value)`, also of an object whose `__str__` raises."""
     try:
         return sendable(str(value))
     except BaseException as error:  # noqa: BLE001 - code of an adapter, which may raise anything

@@ -1,6 +1,6 @@
 """Values as bytes without msgpack: a JSON header and raw buffers.
 
-What a worker is asked and answers is in this form, and so are payloads on the wire where both sides announced it:
+Requests and answers of workers have this form, and payloads on the wire if both sides announced it:
 arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is a
 frame (`xpl.wire.frame`).
 

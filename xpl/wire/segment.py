@@ -1,7 +1,7 @@
 """Memory that a client, the server and its worker share on one host: arrays cross processes without being sent.
 
 The server makes a file (mode 0600, in memory where the system has such a place), the client proves that it sees the
-same file, the worker opens it, and then the server unlinks it: nothing is left behind, whoever dies. An array lies in
+same file, the worker opens it, and then the server unlinks it: nothing is left if a process dies. An array lies in
 one block. A block is free, or sent: the client wrote it, and the worker frees it when it has copied the array.
 
 `multiprocessing.shared_memory` is not used: in Python 3.11 a process that merely attaches unlinks the memory when it
@@ -43,7 +43,7 @@ class SegmentError(OSError):
 
 def folder() -> Path:
     """Return where segments are made: memory if there is a file system of it."""
-    memory = Path("/dev/shm")  # noqa: S108 - files are made with mode 0600 under names that nobody can foresee
+    memory = Path("/dev/shm")  # noqa: S108 - files are made with mode 0600 under unpredictable names
     return memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
 
 

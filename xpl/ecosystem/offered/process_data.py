@@ -1,6 +1,6 @@
 """States of robots as one vector and back, and their dimensions.
 
-A robot is told as the field does: `{"arm_dim": [6, 6], "ee_dim": [1, 1]}`. Vectors hold `[arm, end effector]` of each
+A robot is described by `{"arm_dim": [6, 6], "ee_dim": [1, 1]}`. Vectors hold `[arm, end effector]` of each
 arm, the left one first. With `action_type` "ee" an arm is its pose, seven values.
 """
 
