@@ -17,15 +17,15 @@ from xpl import images
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io.show import page, predict_run, report, scene
 from xpl_cli.model_io.show.cards import card
-from xpl_cli.model_io.show.shown_adapter import load_adapter
+from xpl_cli.model_io.show.compiled_adapter import load_adapter
 from xpl_cli.packages import package
 from xpl_cli.standard import answers
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from xpl_cli.model_io.show.scene import ShownScene
-    from xpl_cli.model_io.show.shown_adapter import ShownAdapter
+    from xpl_cli.model_io.show.compiled_adapter import CompiledAdapter
+    from xpl_cli.model_io.show.scene import ReportScene
 
 EXCHANGES = """
 import numpy as np
@@ -63,7 +63,7 @@ class Model(Policy):
 """
 
 
-def looked(folder: Path, model_io: dict[str, Any]) -> tuple[ShownAdapter, ShownScene, report.ShowReport]:
+def looked(folder: Path, model_io: dict[str, Any]) -> tuple[CompiledAdapter, ReportScene, report.ShowReport]:
     """Return an adapter with this block, what is shown to it, and what its model sees of that."""
     what = load_adapter(package.load(two_arm_adapter.write_adapter(folder, model_io)), {})
     view = scene.scripted(what.package.manifest, what.robot, what.cameras, 1)

@@ -10,7 +10,7 @@ import pytest
 from tests.support.adapters import two_arm_adapter
 from xpl_cli.model_io.show import image_transforms, report, scene
 from xpl_cli.model_io.show.cards import card
-from xpl_cli.model_io.show.shown_adapter import load_adapter
+from xpl_cli.model_io.show.compiled_adapter import load_adapter
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:

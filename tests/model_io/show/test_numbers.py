@@ -13,7 +13,7 @@ from xpl import get_embodiment
 from xpl.convert import compile_interface
 from xpl_cli.model_io import script
 from xpl_cli.model_io.show import numbers, report, robot_figure, scene
-from xpl_cli.model_io.show.shown_adapter import load_adapter
+from xpl_cli.model_io.show.compiled_adapter import load_adapter
 from xpl_cli.packages import package
 
 if TYPE_CHECKING:

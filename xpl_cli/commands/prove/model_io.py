@@ -178,7 +178,7 @@ def show(
     from xpl_cli.model_io import names, reference_file
     from xpl_cli.model_io.cited_conventions import cite_conventions
     from xpl_cli.model_io.show import output, predict_run, report, scene
-    from xpl_cli.model_io.show.shown_adapter import load_adapter as of
+    from xpl_cli.model_io.show.compiled_adapter import load_adapter as of
     from xpl_cli.packages import package as packages
 
     if environment is None and task is not None:

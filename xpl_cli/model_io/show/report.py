@@ -14,7 +14,7 @@ from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io import names, pairs
 from xpl_cli.model_io.kinematics import sample_verdicts
 from xpl_cli.model_io.show import numbers, predict_run, robot_figure, views
-from xpl_cli.model_io.show.scene import ShownScene
+from xpl_cli.model_io.show.scene import ReportScene
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from xpl.contract import Entry, State
     from xpl.convert import Interface
     from xpl_cli.model_io.cited_conventions import CitedConvention
+    from xpl_cli.model_io.show.compiled_adapter import CompiledAdapter
     from xpl_cli.model_io.show.drawing import VectorFigure
     from xpl_cli.model_io.show.numbers import Number
-    from xpl_cli.model_io.show.shown_adapter import ShownAdapter
     from xpl_cli.model_io.show.views import ImageView
 
 Steps = list[dict[str, np.ndarray]]
@@ -74,7 +74,7 @@ class ShowReport:
     policy: str
     robot: str
     action_type: str
-    scene: ShownScene
+    scene: ReportScene
     how: str
     views: Sequence[ImageView] = ()
     vectors: Sequence[StateVector] = ()
@@ -112,7 +112,9 @@ class ShowReport:
         }
 
 
-def report_from_block(adapter: ShownAdapter, scene: ShownScene, steps: tuple[Steps, str] | None = None) -> ShowReport:
+def report_from_block(
+    adapter: CompiledAdapter, scene: ReportScene, steps: tuple[Steps, str] | None = None
+) -> ShowReport:
     """Return what the model gets of a scene, and how it would say a command, by the block alone.
 
     Args:
@@ -143,10 +145,10 @@ def report_from_block(adapter: ShownAdapter, scene: ShownScene, steps: tuple[Ste
         scene,
         "By the model_io block; the model did not run",
     )
-    return _fill_report(replace(report, notes=notes), adapter, inputs, _ShownAction(answer, steps_shown, source))
+    return _fill_report(replace(report, notes=notes), adapter, inputs, _ReportAction(answer, steps_shown, source))
 
 
-def report_from_run(adapter: ShownAdapter, scene: ShownScene, options: predict_run.RunOptions) -> ShowReport:
+def report_from_run(adapter: CompiledAdapter, scene: ReportScene, options: predict_run.RunOptions) -> ShowReport:
     """Return the inputs and the output of `predict` for a scene.
 
     Raises:
@@ -182,11 +184,11 @@ def report_from_run(adapter: ShownAdapter, scene: ShownScene, options: predict_r
         notes.append(f"what it answered makes no action: {call.failure}")
     elif not usable:
         notes.append(f"predict answered the shape {answer.shape}; the block says (H, {width})")
-    action = _ShownAction(answer if usable else None, call.steps, "what the model answered")
+    action = _ReportAction(answer if usable else None, call.steps, "what the model answered")
     return _fill_report(replace(report, notes=notes), adapter, inputs, action)
 
 
-def first_pair(adapter: ShownAdapter) -> tuple[ShownScene, Steps, str] | None:
+def first_pair(adapter: CompiledAdapter) -> tuple[ReportScene, Steps, str] | None:
     """Return the first question of golden_pairs.json: its scene, the golden answer, and what it is called.
 
     Raises:
@@ -199,11 +201,11 @@ def first_pair(adapter: ShownAdapter) -> tuple[ShownScene, Steps, str] | None:
             question = session.questions[0]
             observations = session.scene.observations(question.recipes)
             origin = f"{names.PAIRS}, {question.where}"
-            return ShownScene(observations, origin), session.chunk(question), f"what {names.CODE} answered ({origin})"
+            return ReportScene(observations, origin), session.chunk(question), f"what {names.CODE} answered ({origin})"
     return None
 
 
-def _require_block(adapter: ShownAdapter) -> tuple[Entry, Interface]:
+def _require_block(adapter: CompiledAdapter) -> tuple[Entry, Interface]:
     if adapter.model_io is None or adapter.interface is None:
         raise UserError(
             f"{adapter.package.path} has no model_io block, which would say what the model reads",
@@ -214,7 +216,7 @@ def _require_block(adapter: ShownAdapter) -> tuple[Entry, Interface]:
 
 
 @dataclass(frozen=True)
-class _ShownAction:
+class _ReportAction:
     """An action: the model's answer (H, D), None where it cannot be shown; the standard's steps; where it is from."""
 
     answer: np.ndarray | None
@@ -223,7 +225,7 @@ class _ShownAction:
 
 
 def _fill_report(
-    report: ShowReport, adapter: ShownAdapter, inputs: Mapping[str, Any], action: _ShownAction
+    report: ShowReport, adapter: CompiledAdapter, inputs: Mapping[str, Any], action: _ReportAction
 ) -> ShowReport:
     """Fill the report with the block's inputs and an action."""
     model_io, interface = _require_block(adapter)
@@ -255,7 +257,7 @@ def _fill_report(
     )
 
 
-def _witness(adapter: ShownAdapter) -> list[str]:
+def _witness(adapter: CompiledAdapter) -> list[str]:
     """Return what kinematics says of the samples; nothing where there are none."""
     if adapter.package.manifest.model_io is None or not adapter.package.manifest.model_io.samples:
         return []
@@ -266,7 +268,7 @@ def _witness(adapter: ShownAdapter) -> list[str]:
         return [str(error)]
 
 
-def _inputs(interface: Interface, scene: ShownScene) -> dict[str, Any]:
+def _inputs(interface: Interface, scene: ReportScene) -> dict[str, Any]:
     """Return the inputs that the block makes of a scene, without the axis of the batch."""
     memory: dict[str, np.ndarray] = {}
     try:
@@ -281,7 +283,7 @@ def _newest(interface: Interface, name: str, value: Any) -> np.ndarray:
     return array if history is None else array[history.newest]
 
 
-def _made_up_steps(adapter: ShownAdapter, state: State) -> Steps:
+def _made_up_steps(adapter: CompiledAdapter, state: State) -> Steps:
     """Return a command: the first step holds still, the last is a little further, with grippers half way to closed."""
     count = adapter.interface.action.steps if adapter.interface and adapter.interface.action.steps else _STEPS
     steps = []
@@ -301,7 +303,7 @@ def _made_up_steps(adapter: ShownAdapter, state: State) -> Steps:
     return steps
 
 
-def _code_notes(adapter: ShownAdapter) -> list[str]:
+def _code_notes(adapter: CompiledAdapter) -> list[str]:
     """Return notes on conversions in code, which the page does not show."""
     listed = (adapter.model_io or {}).get("code") or ()
     return [f"done in code, and not shown here: {sentence}; --run shows it" for sentence in listed]

@@ -32,7 +32,7 @@ _PLACE: Final = 1
 
 
 @dataclass(frozen=True)
-class ShownScene:
+class ReportScene:
     """An episode of one environment.
 
     Attributes:
@@ -44,7 +44,7 @@ class ShownScene:
     origin: str
 
 
-def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reach: int) -> ShownScene:
+def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reach: int) -> ReportScene:
     """Return test cards and a scripted state.
 
     Args:
@@ -68,7 +68,7 @@ def scripted(manifest: Manifest, robot: Embodiment, cameras: Sequence[str], reac
         when = "now" if ago == 0 else f"{ago} step{'s' if ago > 1 else ''} ago"
         cards = {name: card(name, number, *sizes[name], when) for number, name in enumerate(sizes)}
         observations.append(with_pictures(observation, cards))
-    return ShownScene(observations, "test cards and a scripted state")
+    return ReportScene(observations, "test cards and a scripted state")
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class EnvironmentEpisode:
 
 def of_environment(
     episode: EnvironmentEpisode, robot: Embodiment, action_type: str, cameras: Sequence[str]
-) -> ShownScene:
+) -> ReportScene:
     """Return the first observation of an episode in an environment.
 
     Args:
@@ -121,10 +121,10 @@ def of_environment(
     missing = [camera for camera in cameras if camera not in observation[sdk.Obs.VISION]]
     if missing:
         raise UserError(f"{name} has no {', '.join(missing)}; it has {', '.join(observation[sdk.Obs.VISION])}")
-    return ShownScene([observation], f"the first observation of {name}, {scenario.task}, seed {episode.seed}")
+    return ReportScene([observation], f"the first observation of {name}, {scenario.task}, seed {episode.seed}")
 
 
-def photographed(scene: ShownScene, photos: Mapping[str, Path]) -> ShownScene:
+def photographed(scene: ReportScene, photos: Mapping[str, Path]) -> ReportScene:
     """Return a scene in which cameras see pictures from files.
 
     Raises:
@@ -139,7 +139,7 @@ def photographed(scene: ShownScene, photos: Mapping[str, Path]) -> ShownScene:
     pictures = dict(_photos(photos))
     observations = [with_pictures(one, pictures) for one in scene.observations]
     sources = ", ".join(f"{camera} from {path.name}" for camera, path in photos.items())
-    return ShownScene(observations, f"{scene.origin}; {sources}")
+    return ReportScene(observations, f"{scene.origin}; {sources}")
 
 
 def _photos(photos: Mapping[str, Path]) -> Iterator[tuple[str, np.ndarray]]:

@@ -41,8 +41,8 @@ class _Paper:
         self.pen = ImageDraw.Draw(self.image)
         self.top = _EDGE
 
-    def room(self) -> bool:
-        """Make room for what is drawn next; tell whether there is some."""
+    def make_space(self) -> bool:
+        """Enlarge the picture for the next item; tell whether it still fits."""
         if self.top > self.image.height - _STEP:
             from PIL import Image, ImageDraw
 
@@ -57,7 +57,7 @@ class _Paper:
         self.pen.text((left, top), text, colour, font=ImageFont.load_default(size))
 
     def lines(self, text: str, size: float = 14, colour: tuple[int, int, int] = _INK, width: int = 170) -> None:
-        self.room()
+        self.make_space()
         for line in textwrap.wrap(text, width)[:_MOST_LINES] or [""]:
             self.words(line, _EDGE, self.top, size, colour)
             self.top += round(size * 1.45)
@@ -87,7 +87,7 @@ def sheet(report: ShowReport) -> bytes:
         for view in report.views:
             _view(paper, view)
     _words(paper, report)
-    if report.figures and paper.room():
+    if report.figures and paper.make_space():
         paper.heading("Robot")
         paper.lines(ROBOT, 14, _SOFT)
         left = float(_EDGE)
@@ -126,7 +126,7 @@ def _words(paper: _Paper, report: ShowReport) -> None:
 
 def _view(paper: _Paper, view: ImageView) -> None:
     """Draw the camera's picture, what people would see, and the numbers."""
-    if not paper.room():
+    if not paper.make_space():
         return
     titles = (f"camera: {view.camera}", f"model: {view.input} {formatting.when(view)}", "its numbers as they are")
     pictures = (view.taken, view.seen, view.raw)
@@ -160,7 +160,7 @@ def _fitted(picture: np.ndarray) -> Image.Image:
 def _table(paper: _Paper, heads: Sequence[str], numbers: Sequence[Number]) -> None:
     _row(paper, heads, _SOFT)
     for number in numbers:
-        if not paper.room():
+        if not paper.make_space():
             return
         _row(paper, formatting.row(number), _INK)
 

@@ -103,7 +103,7 @@ class ParitySearch:
 
     def _run(self) -> ParitySearchResult | None:
         results: list[ParitySearchResult] = []
-        for search in (self._by_block, self._by_commands, self._by_inputs, self._by_shown):
+        for search in (self._by_block, self._by_commands, self._by_inputs, self._by_observations):
             explanation = search()
             if explanation is None:
                 continue
@@ -194,7 +194,7 @@ class ParitySearch:
         line = self._line(result, scored)
         return scored if line is None else TriedChange(f"{scored.words}, both ways", scored.convention, line.remaining)
 
-    def _by_shown(self) -> Explanation | None:
+    def _by_observations(self) -> Explanation | None:
         """Return the explanation by changes of observations; None if the adapter cannot be served for it."""
         search = ObservationSearch(self._probe, self._replay, self._judgement, self._config, repeats=self._repeats)
         mistakes = [one for one in self._families.outer_mistakes if one.change_observations is not None]
@@ -218,7 +218,9 @@ class ParitySearch:
             (family, ranking, self._scorer.improving(ranking.first_round, _EASED)) for family, ranking in self._tried
         ]
         for family, _, slots in improving:
-            yield from self._found(family, [one for slot in slots[:_FIRSTS] for one in self._with_line(family, slot)])
+            yield from self._yield_result(
+                family, [one for slot in slots[:_FIRSTS] for one in self._with_line(family, slot)]
+            )
         for family, ranking, slots in improving:
             # Those first that lower the difference most: the time may not suffice for all.
             ordered = sorted(itertools.combinations(range(len(slots)), 2), key=lambda pair: (sum(pair), pair))
@@ -226,11 +228,11 @@ class ParitySearch:
             every = [
                 (one, other) for one in slots[:_LIKELIEST] for other in range(len(ranking.first_round)) if other != one
             ]
-            yield from self._found(family, self._pairs(family, ranking, list(dict.fromkeys([*some, *every]))))
+            yield from self._yield_result(family, self._pairs(family, ranking, list(dict.fromkeys([*some, *every]))))
         for family, _, slots in improving:
             for slot in slots[:_FIRSTS]:
                 if self._families.seconds_left > 0:
-                    yield from self._found(family, self._with_commands(family, slot))
+                    yield from self._yield_result(family, self._with_commands(family, slot))
 
     def _pairs(
         self, family: MistakeFamily, ranking: RankingResult, pairs: Sequence[tuple[int, int]]
@@ -242,7 +244,7 @@ class ParitySearch:
         singles = [(ranking.first_round[one], ranking.first_round[other]) for one, other in both.pairs]
         return [self._scorer.score_pair(*singles[at], one.answers) for at, one in rank(both, self._scorer).final_round]
 
-    def _found(self, family: MistakeFamily, changes: Sequence[TriedChange]) -> Iterator[ParitySearchResult]:
+    def _yield_result(self, family: MistakeFamily, changes: Sequence[TriedChange]) -> Iterator[ParitySearchResult]:
         explanation = self._scorer.explain_tried(changes)
         if explanation.cause is not None:
             yield ParitySearchResult(explanation, in_block=self._families.by_block and family is self._tried[0][0])

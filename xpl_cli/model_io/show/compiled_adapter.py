@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class ShownAdapter:
+class CompiledAdapter:
     """The adapter to show.
 
     Attributes:
@@ -58,7 +58,7 @@ class ShownAdapter:
         return max(declared, self.interface.span if self.interface else 1)
 
 
-def load_adapter(package: Package, overrides: Config) -> ShownAdapter:
+def load_adapter(package: Package, overrides: Config) -> CompiledAdapter:
     """Return an adapter with its block compiled.
 
     Raises:
@@ -70,9 +70,9 @@ def load_adapter(package: Package, overrides: Config) -> ShownAdapter:
     except UnknownEmbodimentError as error:
         raise UserError(str(error)) from None
     if not package.manifest.model_io:
-        return ShownAdapter(package, config, None, None, robot, ())
+        return CompiledAdapter(package, config, None, None, robot, ())
     block = package.manifest.model_io.data
-    adapter = ShownAdapter(package, config, block, None, robot, tuple(_holes(package.path, config, block)))
+    adapter = CompiledAdapter(package, config, block, None, robot, tuple(_holes(package.path, config, block)))
     folders = checkpoint.folders(config, package.path)
     try:
         model_io = (
