@@ -59,7 +59,7 @@ def _lines() -> Iterator[str]:
     yield from (
         "## Level of each policy",
         "",
-        *table(("policy", "level", "result", "last proven", "digests"), _runs(found)),
+        *table(("policy", "level", "outcome", "last proven", "digests"), _runs(found)),
     )
     without = [one for one in found if one.proof is None]
     yield from ("", "Not run:", "", *(f"- **{one.title}**: {one.next}" for one in without), "")
