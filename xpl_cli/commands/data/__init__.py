@@ -1,1 +1,1 @@
-"""Commands that record, read, check, convert and show demonstrations."""
+"""Commands that list, validate, probe, convert and show demonstrations."""

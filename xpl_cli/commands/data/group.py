@@ -1,4 +1,4 @@
-"""`xpl data`: what demonstrations hold, what is wrong with them, and other formats."""
+"""`xpl data`: list, validate, probe, convert and show demonstrations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from xpl_cli.commands.data.probe import probe
 from xpl_cli.commands.data.show import show
 from xpl_cli.commands.data.validate import validate
 
-app = typer.Typer(help="Look at demonstrations, measure, check and convert them.", no_args_is_help=True)
+app = typer.Typer(help="List, validate, probe, convert and show demonstrations.", no_args_is_help=True)
 
 app.command("list")(list_)
 app.command()(convert)

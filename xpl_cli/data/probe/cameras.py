@@ -43,7 +43,7 @@ def probe_cameras(
     """Return mount, orientation and channel order of each camera.
 
     Args:
-        episodes: of the set.
+        episodes: of the dataset.
         arms: of each arm, by episode, its joints or positions (T, D).
         heights: of each arm, by episode, its height (T,); empty where that is unknown.
         report_progress: called with one line for each camera.

@@ -81,7 +81,7 @@ class LeRobotSet(Demonstrations):
         features = self.info.features.items()
         return {name: _camera(self._info_path, name, feature) for name, feature in features if feature.is_camera}
 
-    @functools.lru_cache(maxsize=8)  # noqa: B019 - a set lives as long as what reads it
+    @functools.lru_cache(maxsize=8)  # noqa: B019 - a dataset lives as long as its reader
     def group(self, path: str, number: int, column: str) -> np.ndarray:
         """Return a column of one row group; episodes share row groups, which are decompressed as a whole."""
         with _opened(self.root / path) as file:
