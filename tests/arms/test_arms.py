@@ -275,7 +275,7 @@ def test_a_dead_man_that_is_let_go_is_a_pause(tmp_path: Path) -> None:
 
 def test_the_plan_of_trials_follows_from_the_seed() -> None:
     env = _env(SimulatedRobot(ARM))
-    episode = env._places[0]._episode
+    episode = env._envs[0]._episode
     assert [(episode.trial(seed)["layout"], episode.trial(seed)["repeat"]) for seed in range(5)] == [
         ("left", 1),
         ("left", 2),
@@ -516,7 +516,7 @@ def test_a_recorded_evaluation_asks_and_keeps_what_people_say(
         (("--driver", "magic"), "lerobot"),
         (("--driver", "arx"), "drives arx_x5"),
         (("--kind", "toy"), "simulation"),
-        (("--embodiment", "fetch"), "has no names and limits of joints"),
+        (("--embodiment", "fetch"), "has no joint names and limits"),
     ],
 )
 def test_a_wrong_choice_is_refused(options: tuple[str, ...], said: str, tmp_path: Path) -> None:
