@@ -5,7 +5,7 @@ from .episode import Reach
 
 class Table(Environment):
     def get_running_env_idx_list(self):
-        return list(range(len(self._places)))
+        return list(range(len(self._envs)))
 
 
 def make(config):
