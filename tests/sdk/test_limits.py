@@ -34,9 +34,9 @@ LAZY = {
         "xpl.training.adapters",
     },
     # Who trains a policy of LeRobot has LeRobot, and with it torch and safetensors.
-    "lerobot": {"xpl.training.lerobot"},
-    "safetensors": {"xpl.training.lerobot"},
-    "torch": {"xpl.training.lerobot"},
+    "lerobot": {"xpl.training.lerobot", "xpl.training.tiny_lerobot"},
+    "safetensors": {"xpl.training.lerobot", "xpl.training.tiny_lerobot"},
+    "torch": {"xpl.training.lerobot", "xpl.training.tiny_lerobot", "xpl.worker.tiny"},
 }
 """Third-party imports allowed inside functions, and the SDK modules that may hold them."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 from tests.support.adapters import trained
 from xpl.embodiment import get_embodiment
 from xpl_cli.adopt.checkpoints import block, registry
+from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import VERSION
 from xpl_cli.adopt.facts import Confidence, Fact, leaves, plain
 from xpl_cli.basics.errors import UserError
 
@@ -177,6 +179,22 @@ def test_a_policy_that_resizes_images_itself_gets_them_as_they_are(tmp_path: Pat
     assert "steps" not in tree["images"][0]
     assert plain(tree["instruction"]) == {"input": "task", "empty": "blank"}
     assert block.camera_sizes(found, tree) == {"cam_head": {"width": None, "height": None}}
+
+
+def test_the_library_is_pinned_with_its_extra_and_hub_names_are_noted(tmp_path: Path) -> None:
+    """What loading takes from the hub is said where the checkpoint names it; its own name is nothing to load."""
+    tokens = {"registry_name": "tokenizer_processor", "config": {"tokenizer_name": "org/tokenizer-2.1"}}
+    folder = trained.lerobot(
+        tmp_path / "p", "smolvla", steps=[tokens], n_action_steps=50, vlm_model_name="org/VLM", repo_id="me/mine"
+    )
+    found, _ = read(folder)
+    assert found.requirements == [f"lerobot[smolvla]=={VERSION}"]
+    notes = [note for note in found.notes if "names" in note]
+    assert [re.findall(r"([\w.]+):\d+ names (\S+):", note) for note in notes if "Hugging Face" in note] == [
+        [("config.json", "org/VLM")],
+        [("policy_preprocessor.json", "org/tokenizer-2.1")],
+    ]
+    assert read(trained.lerobot(tmp_path / "q", "act", n_action_steps=8))[0].requirements == [f"lerobot=={VERSION}"]
 
 
 def test_a_type_that_is_not_known_leaves_its_sampling_open(tmp_path: Path) -> None:

@@ -20,11 +20,6 @@ if TYPE_CHECKING:
     from xpl_cli.adopt.checkpoints.trained_model import TrainedModel
 
 MODEL_IO: Final = "model_io"
-ENVIRONMENTS: Final = {
-    "lerobot": {"manager": "uv", "python": ">=3.10", "requirements": ["numpy>=1.24", "lerobot>=0.4"]}
-}
-"""Frameworks whose library runs any of their checkpoints, so that a complete adapter can be written."""
-
 _SNAPSHOT: Final = re.compile(r"models--(?P<owner>[^/]+?)--(?P<name>[^/]+)/snapshots/(?P<commit>[0-9a-f]{40})$")
 
 
@@ -84,8 +79,9 @@ class AdoptedCheckpoint:
             "deterministic": seeded,
             "evaluation_only": True,
         }
-        if trained.framework in ENVIRONMENTS:
-            result["environment"] = dict(ENVIRONMENTS[trained.framework])
+        if trained.requirements:
+            requirements = ["numpy>=1.24", *trained.requirements]
+            result["environment"] = {"manager": "uv", "python": ">=3.10", "requirements": requirements}
         if trained.rate is not None:
             result["control_frequency"] = trained.rate
         if trained.upstream is not None:

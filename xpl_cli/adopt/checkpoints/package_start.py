@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Final
 from xpl import _spec as sdk
 from xpl_cli.adopt import zoo_facts
 from xpl_cli.adopt.checkpoints import adopted, block, reference_code, yaml_writer
-from xpl_cli.adopt.checkpoints.adopted import ENVIRONMENTS, AdoptedCheckpoint
 from xpl_cli.adopt.facts import ManifestFacts, plain
 from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
@@ -20,6 +19,7 @@ from xpl_cli.standard import spec
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from xpl_cli.adopt.checkpoints.adopted import AdoptedCheckpoint
     from xpl_cli.adopt.facts import Tree
     from xpl_cli.scaffold.template import Files
 
@@ -122,7 +122,7 @@ def _render(name: str, checkpoint: AdoptedCheckpoint) -> Files:
     from xpl_cli.scaffold import adapter, kinds
 
     trained = checkpoint.trained
-    is_runnable = trained.framework in ENVIRONMENTS
+    is_runnable = bool(trained.requirements)
     chunk, ensembling = plain(trained.chunk), trained.ensembling
     answers = adapter.answers_of(
         **{
@@ -160,7 +160,7 @@ def _code(name: str, checkpoint: AdoptedCheckpoint, notes: list[str]) -> Files:
         "draws": checkpoint.draws,
         "history": checkpoint.history,
     }
-    if framework not in ENVIRONMENTS:
+    if not checkpoint.trained.requirements:
         return {sdk.File.MODEL_PY: _template(_ANY, sdk.File.MODEL_PY, {**variables, **_model_interface(checkpoint)})}
     files = {sdk.File.MODEL_PY: _template(framework, sdk.File.MODEL_PY, variables)}
     try:

@@ -82,6 +82,7 @@ class TrainedModel:
         rate: steps per second.
         robot: the framework's name of the robot.
         upstream: the code that runs it.
+        requirements: libraries that run any checkpoint of the framework, so that a complete adapter can be written.
         code: conversions that the block cannot express.
         exempt: for each number of an action whether it stays absolute where others are deltas; empty if grippers do.
         notes: what could not be read, and why.
@@ -104,6 +105,7 @@ class TrainedModel:
     rate: Fact | None = None
     robot: Fact | None = None
     upstream: dict[str, str | None] | None = None
+    requirements: Sequence[str] = ()
     code: Sequence[Fact] = ()
     exempt: Sequence[bool] = ()
     notes: Sequence[str] = ()

@@ -7,10 +7,19 @@ the class itself, such as letterboxing in pi0 and SmolVLA, are not in the block.
 
 from __future__ import annotations
 
+import re
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl_cli.adopt.checkpoints.frameworks.lerobot import statistics
-from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import CODE, LICENSE, REPOSITORY, TYPES, PolicyType
+from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import (
+    CODE,
+    LICENSE,
+    REPOSITORY,
+    TYPES,
+    VERSION,
+    PolicyType,
+    requirement,
+)
 from xpl_cli.adopt.checkpoints.layout import DataRange, VectorNumbers
 from xpl_cli.adopt.checkpoints.reading import ConfigDocument
 from xpl_cli.adopt.checkpoints.trained_model import ImageSpec, TrainedModel, VectorSpec, upstream
@@ -18,11 +27,16 @@ from xpl_cli.adopt.facts import Evidence, Fact, Tree, UnknownFact, assumed, cert
 from xpl_cli.basics.errors import UserError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from xpl_cli.adopt.checkpoints.frameworks.lerobot.dataset import LeRobotDataset
     from xpl_cli.adopt.checkpoints.frameworks.lerobot.statistics import Statistics
     from xpl_cli.adopt.checkpoints.reading import CheckpointFolder
 
 NAME: Final = "lerobot"
+_HUB_NAME: Final = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
+_OWN_NAMES: Final = ("repo_id", "pretrained_path")
+"""Keys that name the checkpoint itself, or what it was trained from."""
 CONFIG: Final = "config.json"
 _BEFORE: Final = "policy_preprocessor.json"
 _AFTER: Final = "policy_postprocessor.json"
@@ -62,6 +76,15 @@ def _is_policy(config: ConfigDocument) -> bool:
     return shapes or (features and isinstance(config.at("type"), str))
 
 
+def _hub_names(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield path and value of each repository of the hub that LeRobot loads, such as a VLM's or a tokenizer's."""
+    if isinstance(value, (dict, list)):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _hub_names(item, (*path, key))
+    elif isinstance(value, str) and path[-1] not in _OWN_NAMES and _HUB_NAME.fullmatch(value):
+        yield path, value
+
+
 class _LeRobotReader:
     def __init__(self, folder: CheckpointFolder, data: LeRobotDataset | None) -> None:
         self.folder, self.data = folder, data
@@ -82,6 +105,16 @@ class _LeRobotReader:
         elif self.before is None:
             self.notes.append("the checkpoint has neither processors nor statistics in its weights: set normalize")
 
+        documents = (self.config, self.steps)
+        named = {name: one.location(*path) for one in documents for path, name in _hub_names(one.value)}
+        for name, source in named.items():
+            self.notes.append(
+                f"{source} names {name}: LeRobot loads it from the Hugging Face hub, or from the hub's cache; "
+                f"`hf download {name}` brings it there"
+            )
+        if self.policy_type and self.policy_type.needs:
+            self.notes.append(f"{self.type} of LeRobot {VERSION} needs {self.policy_type.needs}, which no index has")
+
     def trained(self) -> TrainedModel:
         config = self.config
         where = config.evidence_of("type") if self.type else Evidence(CONFIG, None, "no type")
@@ -94,6 +127,7 @@ class _LeRobotReader:
             self._where_the_data_is()
         return TrainedModel(
             framework=NAME,
+            requirements=[requirement(self.policy_type)],
             about=f"a policy of LeRobot, {self.type or 'of an unknown type'}",
             family=certain(self.policy_type.family, where)
             if self.policy_type
