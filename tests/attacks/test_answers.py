@@ -213,7 +213,7 @@ def test_the_log_of_a_frame_is_not_forged(server: RunningServer) -> None:
 def test_one_client_of_a_shared_model_never_costs_another_its_answer(
     write_adapter: Callable[..., Path], serve: Callable[..., RunningServer]
 ) -> None:
-    server = serve(write_adapter(MODEL, running_server={"shared": True}))
+    server = serve(write_adapter(MODEL, serving={"shared": True}))
     with greeted(server.url) as bad, greeted(server.url) as good:
         for name in ("surrogate", "unspeakable", "stops", "generator"):
             bad.send("infer", {"observation": {"raise": name}})
