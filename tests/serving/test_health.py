@@ -225,7 +225,7 @@ def test_whoever_waits_for_the_model_is_told_how_far_it_is(start: Callable[..., 
         peer.send("infer", {"observation": {"n": 4, "fifo": str(fifo)}})
         with fifo.open("w"):
             line = server.logs("the model has been busy for")
-            wait_until(lambda: sum("at work for" in line for line in list(server.log)) >= 2, "it is reported again")
+            wait_until(lambda: sum("busy for" in line for line in list(server.log)) >= 2, "it is reported again")
         assert re.search(r"for \d+ s \(process \d+, infer\); it is ended after 120 s$", line)
         assert peer.receive().payload["actions"] == [4]
 
