@@ -49,6 +49,7 @@ RULES = {
         ("XPL203", "batch-order", "offline", "XPL-BAT-1"),
         ("XPL204", "batch-unknown", "offline", "XPL-BAT-3"),
         ("XPL260", "golden-parity", "offline", "XPL-NAT-3"),
+        ("XPL301", "closed-loop", "mujoco", "XPL-SIM-1"),
     )
 }
 
