@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from tests.support.peer import greeted
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError
 from xpl_cli.serving import decoding
 from xpl_cli.serving.launch import RunningServer, running_server
@@ -122,7 +122,7 @@ LIARS = {
 def test_a_header_that_lies_is_refused(data: bytes) -> None:
     """By a sentence, before memory is taken for what it claims."""
     with pytest.raises(ObservationError, match=r"image|passes") as refusal:
-        images.decode(data)
+        image_codec.decode(data)
     assert len(str(refusal.value)) < 400
 
 
@@ -130,10 +130,10 @@ def test_the_passes_over_a_large_jpeg_are_few() -> None:
     """Each takes as long as the whole image; encoders make about ten, which is fine at any size that is read."""
     head = _SOF.replace(b"\x10\0\x10\0", struct.pack("!HH", 5600, 5600))
     with pytest.raises(ObservationError, match="5600 x 5600 pixels has 14 passes"):
-        images.decode(head + b"\xff\xda\0\x08\x01\x01\0\0\0\0" * 14)
+        image_codec.decode(head + b"\xff\xda\0\x08\x01\x01\0\0\0\0" * 14)
     target = io.BytesIO()
     Image.new("RGB", (5600, 5600)).save(target, "JPEG", progressive=True)
-    assert images.decode(target.getvalue()).shape == (5600, 5600, 3)
+    assert image_codec.decode(target.getvalue()).shape == (5600, 5600, 3)
 
 
 def encoded(image: np.ndarray, kind: str) -> bytes:
@@ -147,8 +147,8 @@ def encoded(image: np.ndarray, kind: str) -> bytes:
 @given(width=st.integers(1, 80), height=st.integers(1, 80))
 def test_the_size_in_a_header_is_that_of_the_image(kind: str, width: int, height: int) -> None:
     data = encoded(np.zeros((height, width, 3), np.uint8), kind)
-    assert images.size_of(data) == (width, height)
-    assert images.decode(data).shape == (height, width, 3)
+    assert image_codec.size_of(data) == (width, height)
+    assert image_codec.decode(data).shape == (height, width, 3)
 
 
 ANIMATED = {"save_all": True, "append_images": [Image.new("RGB", (9, 4))]}
@@ -158,4 +158,4 @@ ANIMATED = {"save_all": True, "append_images": [Image.new("RGB", (9, 4))]}
 def test_every_kind_of_webp_tells_its_size(options: dict[str, Any]) -> None:
     target = io.BytesIO()
     Image.new("RGB", (9, 4), "red").save(target, "WEBP", **options)
-    assert images.size_of(target.getvalue()) == (9, 4)
+    assert image_codec.size_of(target.getvalue()) == (9, 4)

@@ -23,7 +23,7 @@ from tests.support.outside.chaos import Fault, Proxy
 from tests.support.outside.fake_server import fake_server
 from tests.support.outside.raw import page
 from tests.support.peer import Peer, wait_until
-from xpl import Client, images
+from xpl import Client, image_codec
 from xpl import _spec as spec
 from xpl.client import (
     AsyncClient,
@@ -332,7 +332,7 @@ def test_chosen_cameras_travel_as_jpeg_and_the_others_as_they_are(shared: Runnin
 
 def test_pictures_that_are_encoded_already_stay_so(shared: RunningServer) -> None:
     ramp = smooth()
-    for camera in (images.encode_png(ramp), np.frombuffer(images.encode_png(ramp), np.uint8)):
+    for camera in (image_codec.encode_png(ramp), np.frombuffer(image_codec.encode_png(ramp), np.uint8)):
         with Client(shared.url, jpeg={"cam_head": 10}, config=HASTE) as client:
             client.reset()
             client.update_obs({"vision": {"cam_head": {"color": camera}}})

@@ -50,7 +50,7 @@ def write(folder, gain):
 
 
 def _package(folder: Path, recipe: str) -> package.Package:
-    made = parity.made(folder)
+    made = parity.write_adapter(folder)
     (made / "model.py").write_text(MODEL)
     (made / "tiny.py").write_text(recipe)
     return package.load(made)

@@ -25,7 +25,7 @@ LAZY = {
     "h5py": {"xpl.trajectory.storage"},
     "msgpack": {"xpl.openpi.codec", "xpl.wire.codec"},
     "websockets": {"xpl.client.aio", "xpl.client.connection"},
-    "PIL": {"xpl.images"},
+    "PIL": {"xpl.image_codec"},
     "robosuite": {"xpl.rendering.robosuite"},
     "yaml": {
         "xpl.ecosystem.offered.load_file",

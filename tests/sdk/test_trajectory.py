@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from tests.support.examples import examples
 from xpl import _spec as sdk
-from xpl import images, trajectory
+from xpl import image_codec, trajectory
 from xpl.trajectory import TrajectoryError, Writer
 
 _SERIES = st.sampled_from(("arm_joint_state", "ee_joint_state", "ee_pose", "tcp_pose", "delta_ee_pose", "force"))
@@ -141,7 +141,7 @@ def test_jpegs_are_standard_ones_in_both_forms(tmp_path: Path, form: str, stored
     with h5py.File(path) as file:
         data = file["vision/cam_head/colors"]
         assert data.shape[: len(stored)] == tuple(data.shape[1] if size is ... else size for size in stored)
-        assert images.has_marker(bytes(data[69].tobytes()))
+        assert image_codec.has_marker(bytes(data[69].tobytes()))
     found = trajectory.read(path)
     seen, expected = found.image("cam_head", 9), _obs(9)["vision"]["cam_head"]["color"]
     assert np.abs(seen.astype(int) - expected.astype(int)).max() < 16
@@ -164,7 +164,7 @@ def test_images_that_come_encoded_are_kept_as_they_are(tmp_path: Path) -> None:
 
 def test_files_of_the_field_are_read(tmp_path: Path) -> None:
     """Instructions as JSON, images as texts of one length, depth and one gripper without an axis of their own."""
-    jpegs = [images.encode_jpeg(_obs(step)["vision"]["cam_head"]["color"]) for step in range(2)]
+    jpegs = [image_codec.encode_jpeg(_obs(step)["vision"]["cam_head"]["color"]) for step in range(2)]
     with h5py.File(tmp_path / "episode_0000000.hdf5", "w") as file:
         file["instructions"] = json.dumps(["lift the cube", "pick it up"])
         file["additional_info/frequency"] = 25

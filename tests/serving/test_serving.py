@@ -18,7 +18,7 @@ import pytest
 from websockets.exceptions import ConnectionClosed
 
 from tests.support.peer import DEADLINE_S, MARK, Peer, greeted, processes, wait_until
-from xpl import Client, images
+from xpl import Client, image_codec
 from xpl import _spec as spec
 from xpl.wire import codec
 from xpl_cli.basics.errors import ExitCode
@@ -192,7 +192,7 @@ def test_a_batch_call_passes_its_environments(peer: Peer) -> None:
 
 def test_requests_in_flight_stay_in_order_even_if_one_has_images(peer: Peer) -> None:
     """Decoding takes time, and a request without images must not overtake."""
-    picture = images.encode_png(np.zeros((480, 640, 3), np.uint8))
+    picture = image_codec.encode_png(np.zeros((480, 640, 3), np.uint8))
     peer.ask("reset")
     for n in range(4):
         peer.send("call", {"func_name": "update_obs", "obs": {"n": n, "vision": {"cam_head": {"color": picture}}}})
@@ -209,7 +209,7 @@ def test_a_result_map_with_actions_passes_through(peer: Peer) -> None:
 
 
 @pytest.mark.parametrize("name", ["infer", "update_obs", "update_obs_batch", "declared"])
-@pytest.mark.parametrize("encode", [images.encode_png, images.encode_jpeg])
+@pytest.mark.parametrize("encode", [image_codec.encode_png, image_codec.encode_jpeg])
 def test_images_arrive_decoded_in_every_request(peer: Peer, name: str, encode: Callable[..., bytes]) -> None:
     """Bytes or one-dimensional arrays; an adapter never decodes."""
     red = np.zeros((16, 16, 3), np.uint8)

@@ -59,7 +59,7 @@ ORDINARY = {
 }
 # Numbers of the standard that are something else in one place.
 ELSEWHERE = {
-    ("xpl/images.py", 7): "where a width ends in the head of a WebP file",
+    ("xpl/image_codec.py", 7): "where a width ends in the head of a WebP file",
     ("xpl_cli/data/probe/kinematics.py", 7): "joints whose orders are all tried",
     ("xpl_cli/data/probe/parts.py", 7): "joints of an arm",
     ("xpl/worker/tiny.py", 7): "rounds of a search",

@@ -29,7 +29,7 @@ from tests.support.examples import examples
 from tests.wire.fuzz import decoder
 from tests.wire.messages import framed, peak
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError
 from xpl.wire import codec, packed
 from xpl_cli.serving.requests import ReplayEntry, RequestError
@@ -138,8 +138,8 @@ def other_format(name: str) -> bytes:
 
 
 PICTURES = [
-    images.encode_jpeg(PICTURE),
-    images.encode_png(PICTURE),
+    image_codec.encode_jpeg(PICTURE),
+    image_codec.encode_png(PICTURE),
     *map(other_format, ("JPEG", "BMP", "TIFF", "WEBP")),
 ]
 
@@ -148,16 +148,16 @@ PICTURES = [
 @given(st.sampled_from(PICTURES), CHANGES)
 def test_damaged_images_are_decoded_or_refused(data: bytes, changes: list[tuple[str, int, Any]]) -> None:
     with contextlib.suppress(ObservationError):
-        image = images.decode(changed(data, changes))
+        image = image_codec.decode(changed(data, changes))
         assert image.dtype == np.uint8
         assert image.shape[2:] == (3,)
-        assert image.shape[0] * image.shape[1] <= images.PIXELS
+        assert image.shape[0] * image.shape[1] <= image_codec.PIXELS
 
 
 @bounded
 @given(st.binary(max_size=300))
 def test_the_marker_is_looked_for_in_anything(data: bytes) -> None:
-    assert images.has_marker(b"\xff\xd8" + data) in (True, False)
+    assert image_codec.has_marker(b"\xff\xd8" + data) in (True, False)
 
 
 # -- who may use what, and what runs -----------------------------------------------------------------------------------

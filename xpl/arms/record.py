@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from xpl import images
+from xpl import image_codec
 
 if TYPE_CHECKING:
     import numpy as np
@@ -93,7 +93,7 @@ class Recorder:
                     with path.open("a", encoding="utf-8") as stream:
                         stream.write(content)
                 else:
-                    path.write_bytes(images.encode_png(content))
+                    path.write_bytes(image_codec.encode_png(content))
             except OSError:
                 self.dropped += 1
 

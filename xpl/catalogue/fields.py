@@ -267,11 +267,11 @@ def _example_values(key: str, width: int) -> Any:
 
 
 def _change_state(turn: FieldsFunction, more: ExtraChange | None) -> ObservationChange:
-    def shown(observations: Sequence[Obs]) -> ObservationList:
+    def change(observations: Sequence[Obs]) -> ObservationList:
         changed = [{**obs, spec.Obs.STATE: turn(obs.get(spec.Obs.STATE) or {})} for obs in observations]
         return [dict(obs if more is None else more(obs)) for obs in changed]
 
-    return shown
+    return change
 
 
 def _map_actions(turn: FieldsFunction) -> ActionChange:

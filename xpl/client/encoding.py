@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Callable
 
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.observation import color_of, is_encoded
 from xpl.wire import codec, packed
 
@@ -72,7 +72,7 @@ class Encoder:
         if self._jpeg and self.capabilities.get(spec.Capability.JPEG_MARKER):
             value = _each(value, self._compress_images)
         packs = self._packs and bool(self.capabilities.get(spec.Capability.PACKED))
-        if not packs or images.has_encoded(value):
+        if not packs or image_codec.has_encoded(value):
             return codec.encode(_with(frame, {**payload, key: value})), []
         pieces, blocks = self._pack({key: value}, frame.message_type)
         if len(pieces[0]) > spec.LIMITS["packed_header"]:
@@ -104,7 +104,7 @@ class Encoder:
         for name, quality in self._jpeg.items():
             color = color_of(vision[name]) if name in vision else None
             if color is not None and not is_encoded(color):
-                jpeg = images.encode_jpeg(color, quality)
+                jpeg = image_codec.encode_jpeg(color, quality)
                 camera = vision[name]
                 smaller[name] = {**camera, spec.Camera.COLOR: jpeg} if isinstance(camera, Mapping) else jpeg
         return {**obs, spec.Obs.VISION: smaller}

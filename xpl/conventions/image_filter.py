@@ -1,6 +1,6 @@
 """Filter of a resampling, antialias, and whether bytes or floats are resampled.
 
-Source: spec/v1/model_io.schema.json#/$defs/filter; the filters themselves are `xpl.resample`.
+Source: spec/v1/model_io.schema.json#/$defs/filter; the filters themselves are `xpl.image_resize`.
 """
 
 from __future__ import annotations

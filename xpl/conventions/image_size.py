@@ -25,7 +25,7 @@ from xpl.catalogue.image_changes import (
 )
 from xpl.conventions.image_filter import FILTERS
 from xpl.errors import ConversionError
-from xpl.resample import resize
+from xpl.image_resize import resize
 
 if TYPE_CHECKING:
     from xpl.contract import Entry

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Callable
 
 import numpy as np
 
-from xpl import images as codec
+from xpl import image_codec as codec
 from xpl.observation import is_encoded
 from xpl.trajectory.columns import ROWS, WAITING_BYTES, NumericColumn
 from xpl.trajectory.errors import TrajectoryError

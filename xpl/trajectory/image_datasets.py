@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images as codec
+from xpl import image_codec as codec
 from xpl.observation import ObservationError
 from xpl.trajectory import names, storage
 from xpl.trajectory.errors import TrajectoryError

@@ -157,12 +157,12 @@ class Trajectory(EpisodeFile):
             TrajectoryError: a dataset cannot be read; the text names it.
         """
 
-        def is_wanted(path: names.DatasetPath) -> bool:
+        def is_selected(path: names.DatasetPath) -> bool:
             if path[0] == spec.Trajectory.VISION and cameras is not None:
                 return path[1] in cameras
             return path[0] != spec.Trajectory.ACTION
 
-        return self._tree(self._check_step(step), is_wanted)
+        return self._tree(self._check_step(step), is_selected)
 
     def action(self, step: int) -> dict[str, Any]:
         """Return the action of a step, commanded after its observation; raises like `observation`."""

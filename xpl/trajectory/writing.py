@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Callable
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images as codec
+from xpl import image_codec as codec
 from xpl.observation import ObservationError, is_encoded
 from xpl.trajectory import index, names, storage
 from xpl.trajectory.columns import ConstantColumn, EpisodeColumn, JsonTextList, NumericColumn, numbers
@@ -31,7 +31,7 @@ JPEG, PADDED, PNG, RAW = "jpeg", "jpeg-padded", "png", "raw"
 FORMS = (JPEG, PADDED, PNG, RAW)
 """Storage of colour images: JPEG, as (T,) of variable length or as (T, N) padded with NUL; PNG; or pixels.
 
-JPEGs have the marker of `xpl.images`.
+JPEGs have the marker of `xpl.image_codec`.
 """
 
 _NO_PART = (spec.Obs.DATA_FORMAT_VERSION, spec.Obs.ENV_IDX, spec.Obs.PRIVILEGED, spec.Trajectory.ACTION)

@@ -28,7 +28,7 @@ def render(template: str, *, style: str, script: str | None = None, **values: ob
     css = Markup(_read(style))  # noqa: S704
     js = Markup(_read(script) if script else "")  # noqa: S704
     environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_shown
+        undefined=jinja2.StrictUndefined, autoescape=True, trim_blocks=True, lstrip_blocks=True, finalize=_render
     )
     security = _policy(css, js)
     return environment.from_string(_read(template)).render(
@@ -42,7 +42,7 @@ def as_json(value: object) -> Markup:
     return Markup(text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e"))  # noqa: S704 - see above
 
 
-def _shown(value: object) -> object:
+def _render(value: object) -> object:
     """Return a value for a template, with control characters and direction marks escaped."""
     return escape_controls(value) if isinstance(value, str) and not isinstance(value, Markup) else value
 

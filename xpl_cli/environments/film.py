@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
-from xpl import get_embodiment, images
+from xpl import get_embodiment, image_codec
 from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.environments import rollout
@@ -37,7 +37,7 @@ def render(scenario: Scenario, seed: int, camera: str | None, out: Path) -> dict
     check_ending(out, (".png",))
     camera = camera_of(scenario, camera)
     ((frame, wording),) = first_frames(scenario, [scenario.task], seed, camera)
-    atomic.write_file(out, images.encode_png(frame))
+    atomic.write_file(out, image_codec.encode_png(frame))
     height, width = frame.shape[:2]
     size = {"height": height, "width": width}
     return {**describe_picture(scenario, seed, camera, out), **size, sdk.Obs.INSTRUCTION: wording}

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError
 from xpl_cli.serving.payloads import decode_images
 from xpl_cli.serving.requests import RequestError
@@ -120,7 +120,7 @@ def unpacked_size(payload: Payload) -> int:
         RequestError: `invalid_frame` if one is damaged, or they are larger than the limit.
     """
     try:
-        pixels = sum(images.pixels_of(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
+        pixels = sum(image_codec.pixels_of(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
     except ObservationError as error:
         raise RequestError(spec.ErrorCode.INVALID_FRAME, str(error)) from None
     size = pixels * spec.COLOR_CHANNELS

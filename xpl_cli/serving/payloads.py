@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError
 from xpl.wire import packed
 from xpl_cli.serving.requests import RequestError
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def has_images(payload: Payload) -> bool:
     """Tell whether an observation in a payload has encoded images, which the server decodes for the adapter."""
-    return any(images.has_encoded(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
+    return any(image_codec.has_encoded(payload.get(name)) for name in (spec.Payload.OBSERVATION, spec.Payload.OBS))
 
 
 def decode_images(payload: Payload) -> Payload:
@@ -47,7 +47,7 @@ def pack(payload: Payload) -> bytes:
 
 def _decode_images(value: Any) -> Any:
     return (
-        [images.decode_observation(item) for item in value]
+        [image_codec.decode_observation(item) for item in value]
         if isinstance(value, list)
-        else images.decode_observation(value)
+        else image_codec.decode_observation(value)
     )

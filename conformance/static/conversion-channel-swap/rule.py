@@ -31,7 +31,7 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
     `decode_image_bit(frame)` followed by `cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)`: trajectories are encoded from RGB.
 
     ## Use instead
-    `xpl.images.decode(data)` reads the format marker and returns RGB for both byte formats.
+    `xpl.image_codec.decode(data)` reads the format marker and returns RGB for both byte formats.
 
     ## Fix safety
     No automatic fix: data that was already converted has to be converted again.

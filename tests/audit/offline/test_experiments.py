@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from xpl import _spec as sdk
-from xpl import images
+from xpl import image_codec
 from xpl.action import pack, unpack
 from xpl.embodiment import get_embodiment
 from xpl.observation import ObservationError, get_image, get_instruction, pack_state
@@ -44,7 +44,7 @@ def test_every_form_of_a_picture_is_read_as_rgb(obs: dict[str, Any], form: str) 
     for camera in sent[sdk.Obs.VISION].values():
         color = camera[sdk.Camera.COLOR]
         assert isinstance(color, bytes)
-        assert images.has_marker(color) == (form == "marked JPEG")
+        assert image_codec.has_marker(color) == (form == "marked JPEG")
     read = transports.decoded(sent)
     error = transports.error_of(obs, read)
     assert error == 0 if form == "true-RGB PNG" else 0 < error < 40

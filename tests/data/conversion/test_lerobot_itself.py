@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from xpl_cli.data.formats import image_codec
+from xpl_cli.data.formats import image_files
 from xpl_cli.data.reading import open_set
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def test_lerobot_opens_what_was_converted(libero: Path, tmp_path: Path, converte
         for name in ("agentview_rgb", "eye_in_hand_rgb"):
             frames = np.rint(items[f"observation.images.{name}"][place] * 255).astype(np.uint8).transpose(0, 2, 3, 1)
             for image, frame in zip(frames, episode.frames(f"obs/{name}"), strict=True):
-                assert image_codec.psnr(image, frame) > LOSSY_DB
+                assert image_files.psnr(image, frame) > LOSSY_DB
     assert begins == len(items["tasks"])
 
 
@@ -76,4 +76,4 @@ def test_what_lerobot_wrote_is_read(tmp_path: Path, converted: Converted) -> Non
             np.testing.assert_array_equal(wrist, expected[f"{index}/observation.images.wrist"])
             top = expected[f"{index}/observation.images.top"]
             for image, frame in zip(episode.frames("observation.images.top"), top, strict=True):
-                assert image_codec.psnr(image, frame) > LOSSY_DB
+                assert image_files.psnr(image, frame) > LOSSY_DB

@@ -11,7 +11,7 @@ from xpl import get_embodiment, trajectory
 from xpl.convert.frames import PoseFrame
 from xpl_cli.basics import parallel
 from xpl_cli.basics.errors import UnknownNameError
-from xpl_cli.data.formats import image_codec
+from xpl_cli.data.formats import image_files
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
@@ -34,7 +34,7 @@ LOSSY_DB = 33.0
 def worst(one: RecordedEpisode, other: RecordedEpisode) -> float:
     """Return the lowest PSNR of the images of two episodes, dB."""
     return min(
-        image_codec.psnr(first, second)
+        image_files.psnr(first, second)
         for name in one.cameras
         for first, second in zip(one.frames(name), other.frames(name), strict=True)
     )
@@ -73,7 +73,7 @@ def test_a_set_of_the_field_becomes_one_of_lerobot(
                 np.testing.assert_array_equal(other.read(name).reshape(rows.shape), rows, err_msg=name)
         for name in other.cameras:
             for first, second in zip(one.frames(old[name]), other.frames(name), strict=True):
-                assert image_codec.psnr(first, second) >= at_least
+                assert image_files.psnr(first, second) >= at_least
 
 
 def test_statistics_are_those_of_the_numbers(libero: Path, in_lerobot: tuple[Path, ConversionReport]) -> None:
@@ -117,7 +117,7 @@ def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, conv
     source = datasets.robotwin(tmp_path / "robotwin")
     converted(source, tmp_path / "xpl", "xpl", by="robotwin", rate_hz=25.0)
     episode = open_set(tmp_path / "xpl")[0]
-    assert image_codec.psnr(next(episode.frames("vision/cam_head/colors")), datasets.picture(0)) > LOSSY_DB
+    assert image_files.psnr(next(episode.frames("vision/cam_head/colors")), datasets.picture(0)) > LOSSY_DB
     np.testing.assert_array_equal(
         episode.read("action/left_arm_joint_states")[:-1], episode.read("state/left_arm_joint_states")[1:]
     )
@@ -127,7 +127,7 @@ def test_robotwin_is_read_in_true_colours_and_one_step_late(tmp_path: Path, conv
     for name, rows in datasets.numbers(open_set(source)[0]).items():
         there = back.read(name.replace("/", ".")).reshape(rows.shape)
         np.testing.assert_array_equal(there, rows, err_msg=name)
-    assert image_codec.psnr(next(back.frames("observation.head_camera.rgb")), datasets.picture(0)[..., ::-1]) > LOSSY_DB
+    assert image_files.psnr(next(back.frames("observation.head_camera.rgb")), datasets.picture(0)[..., ::-1]) > LOSSY_DB
 
 
 def test_the_standards_series_are_one_vector_in_lerobot_and_series_again_after_it(

@@ -22,7 +22,7 @@ import zarr
 
 from tests.data import datasets
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import image_codec
+from xpl_cli.data.formats import image_files
 from xpl_cli.data.reading import open_set
 from xpl_cli.data.sets.errors import DataError
 
@@ -45,7 +45,7 @@ def test_aloha(tmp_path: Path) -> None:
     np.testing.assert_array_equal(list(episode.frames("observations/images/top")), frames)
     assert episode.cameras["observations/images/wrist"].encoding == "jpeg"
     for shown, frame in zip(episode.frames("observations/images/wrist"), frames, strict=True):
-        assert image_codec.psnr(shown, frame) > LOSSY_DB
+        assert image_files.psnr(shown, frame) > LOSSY_DB
 
 
 def test_robomimic(tmp_path: Path) -> None:
@@ -74,7 +74,7 @@ def test_robotwin(tmp_path: Path) -> None:
     assert camera.intrinsics is not None
     assert camera.intrinsics.shape == (6, 3, 3)
     first = next(episode.frames("observation/head_camera/rgb"))
-    assert image_codec.psnr(first, datasets.picture(0)[..., ::-1]) > LOSSY_DB
+    assert image_files.psnr(first, datasets.picture(0)[..., ::-1]) > LOSSY_DB
     assert len(episode.instructions) == 3
 
 
@@ -107,7 +107,7 @@ def test_lerobot_v21(tmp_path: Path) -> None:
         np.testing.assert_array_equal(episode.read("task_index"), table["task_index"])
         assert episode.instructions == (datasets.SENTENCE,)
         for step, frame in enumerate(episode.frames("observation.images.top")):
-            assert image_codec.psnr(frame, datasets.picture(step)) > LOSSY_DB
+            assert image_files.psnr(frame, datasets.picture(step)) > LOSSY_DB
 
 
 def test_lerobot_v30(tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_lerobot_v30(tmp_path: Path) -> None:
         np.testing.assert_array_equal(episode.read("action"), actions[part])
         np.testing.assert_array_equal(list(episode.frames("observation.images.wrist")), frames[part])
         for shown, frame in zip(episode.frames("observation.images.top"), frames[part], strict=True):
-            assert image_codec.psnr(shown, frame) > LOSSY_DB
+            assert image_files.psnr(shown, frame) > LOSSY_DB
 
 
 # -- what is damaged is one sentence -----------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ import pytest
 
 from tests.data.formats import rlds_driver
 from tests.support.checkout import ROOT
-from xpl_cli.data.formats import image_codec
+from xpl_cli.data.formats import image_files
 from xpl_cli.data.reading import open_set
 
 PYTHON = os.environ.get("XPL_TFDS_PYTHON", "")
@@ -48,7 +48,7 @@ def test_what_tensorflow_datasets_writes_is_read_and_converted(tmp_path: Path) -
         assert dataset[f"{index}/is_last"].tolist() == [False] * (length - 1) + [True]
         for place, camera in enumerate(rlds_driver.CAMERAS):
             frames = dataset[f"{index}/observation/{camera}"]
-            worst = min(image_codec.psnr(frames[step], rlds_driver.image(step + 40 * place)) for step in range(length))
+            worst = min(image_files.psnr(frames[step], rlds_driver.image(step + 40 * place)) for step in range(length))
             assert worst > LOSSY_DB
         wordings.append(dataset[f"{index}/told"].tolist())
     assert wordings[:2] == [["put the pen in the cup"], ["put the pen in the cup", "pen into cup"]]

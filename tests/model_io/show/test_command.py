@@ -13,7 +13,7 @@ from PIL import Image
 from tests.support.adapters import parity, two_arm_adapter
 from tests.support.outside.browser import browser
 from tests.support.peer import xpl
-from xpl import images
+from xpl import image_codec
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io.show import page, predict_run, report, scene
 from xpl_cli.model_io.show.cards import card
@@ -213,7 +213,7 @@ def test_photographs_and_environments_are_shown(tmp_path: Path) -> None:
     what, view, _ = looked(tmp_path / "P", two_arm_adapter.block())
     photo = np.zeros((30, 40, 3), np.uint8)
     photo[:, :20] = (200, 10, 10)
-    (tmp_path / "photo.png").write_bytes(images.encode_png(photo))
+    (tmp_path / "photo.png").write_bytes(image_codec.encode_png(photo))
     pictured = scene.photographed(view, {"cam_head": tmp_path / "photo.png"})
     assert np.array_equal(report.report_from_block(what, pictured).views[0].taken, photo)
     with pytest.raises(UserError, match="no camera cam_foot"):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from xpl.resample import resize, taps
+from xpl.image_resize import resize, taps
 
 cv2: Any = pytest.importorskip("cv2")
 

@@ -63,12 +63,12 @@ def read_hello(data: bytes) -> None:
 
 
 def read_image_header(data: bytes) -> None:
-    from xpl import images
+    from xpl import image_codec
     from xpl.observation import ObservationError
 
     with contextlib.suppress(ObservationError):
-        width, height = images.size_of(data)
-        assert 0 <= width * height <= images.PIXELS
+        width, height = image_codec.size_of(data)
+        assert 0 <= width * height <= image_codec.PIXELS
 
 
 TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_stream, read_hello, read_image_header)
@@ -77,7 +77,7 @@ TARGETS: tuple[Callable[[bytes], None], ...] = (read_frame, read_packed, read_st
 def seeds() -> Iterator[tuple[int, bytes]]:
     import numpy as np
 
-    from xpl import images
+    from xpl import image_codec
     from xpl.process import link
     from xpl.wire import codec, packed
 
@@ -98,7 +98,11 @@ def seeds() -> Iterator[tuple[int, bytes]]:
     yield 3, codec.encode(codec.Frame("hello", "e", {"environment": announced}))
     yield 3, codec.encode(codec.Frame("hello", "e", {"environment": {"embodiment": np.arange(3)}}))
     picture = np.zeros((2, 3, 3), np.uint8)
-    for data in (images.encode_png(picture), images.encode_jpeg(picture), b"RIFF\x1a\0\0\0WEBPVP8X" + bytes(20)):
+    for data in (
+        image_codec.encode_png(picture),
+        image_codec.encode_jpeg(picture),
+        b"RIFF\x1a\0\0\0WEBPVP8X" + bytes(20),
+    ):
         yield 4, data
 
 
@@ -112,7 +116,7 @@ def main() -> None:
 
     sys.path.insert(0, str(ROOT))
     with atheris.instrument_imports(include=["xpl"]):
-        from xpl import images  # noqa: F401
+        from xpl import image_codec  # noqa: F401
         from xpl.client import agreement  # noqa: F401
         from xpl.wire import codec, packed  # noqa: F401 - instrumented as they are imported
     atheris.Setup(sys.argv, one_input)

@@ -9,7 +9,7 @@ import pytest
 
 from xpl.catalogue.walk import NoEffectError
 from xpl.convert.images import ImageInput
-from xpl.resample import resize
+from xpl.image_resize import resize
 from xpl.worker.encoded.rebuilt import RebuiltImages
 
 RNG = np.random.default_rng(3)

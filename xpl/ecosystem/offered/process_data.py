@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.embodiment import get_embodiment
 
 if TYPE_CHECKING:
@@ -100,10 +100,10 @@ def unpack_robot_state(
 def decode_image_bit(image_bits: Any) -> np.ndarray:
     """Return the image (H, W, 3) uint8 RGB of encoded bytes, or the images of a list of them."""
     if isinstance(image_bits, np.ndarray) and image_bits.dtype == np.uint8 and image_bits.ndim == 1:
-        return images.decode(image_bits)
+        return image_codec.decode(image_bits)
     if isinstance(image_bits, (list, tuple, np.ndarray)):
         return np.array([decode_image_bit(bits) for bits in image_bits])
-    return images.decode(image_bits)
+    return image_codec.decode(image_bits)
 
 
 def _named(packed: np.ndarray, layout: Sequence[tuple[str, int]]) -> dict[str, np.ndarray]:

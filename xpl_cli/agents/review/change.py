@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
+from xpl_cli.basics.git.discovery import nested
 from xpl_cli.basics.git.history import Repository
-from xpl_cli.basics.git.place import nested
 from xpl_cli.packages import package
-from xpl_cli.packages.targets import find_target, holding, is_package
+from xpl_cli.packages.targets import find_target, is_package, package_of
 
 if TYPE_CHECKING:
-    from xpl_cli.packages.targets import Target
+    from xpl_cli.packages.targets import AuditTarget
 
 ADDED: Final = "added"
 CHANGED: Final = "changed"
@@ -36,7 +36,7 @@ class ChangedPackage:
         documents_only: whether only documents changed, and neither code nor configuration.
     """
 
-    target: Target
+    target: AuditTarget
     path: str
     files: int
     change: str
@@ -76,7 +76,7 @@ def change_since(ref: str, repository: Repository) -> BranchChange:
     files_by_folder: dict[Path, list[Path]] = {}
     removed, elsewhere = set(), []
     for path in sorted(repository.changed(base)):
-        folder = holding(path)
+        folder = package_of(path)
         if is_package(path):
             raise nested(path, path, repository.root)
         if folder is not None and folder.is_relative_to(repository.root):

@@ -17,8 +17,8 @@ from xpl_cli.agents.review.markdown import (
 )
 from xpl_cli.audit.formats.listing import shortened
 from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of
+from xpl_cli.basics.phrases import count_noun
 from xpl_cli.basics.untrusted import command, in_markdown
-from xpl_cli.basics.words import amount
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -65,14 +65,14 @@ def _summary(review: Review) -> Iterator[str]:
     else:
         fails = sum(1 + len(remark.others) for remark in review.remarks if remark.first.fails)
         warns = sum(1 + len(remark.others) for remark in review.remarks if not remark.first.fails)
-        counts = f"{amount(fails, 'finding')} to fix and {amount(warns, 'warning')}"
-        yield f"{amount(len(change.packages), 'package')} touched since {since}: {counts}."
+        counts = f"{count_noun(fails, 'finding')} to fix and {count_noun(warns, 'warning')}"
+        yield f"{count_noun(len(change.packages), 'package')} touched since {since}: {counts}."
         if review.forgives:
             yield "Findings that the base has already do not count."
     for name in change.removed:
         yield f"{code(name)} was removed."
     if change.elsewhere:
-        yield f"{amount(len(change.elsewhere), 'file')} outside of packages: not reviewed."
+        yield f"{count_noun(len(change.elsewhere), 'file')} outside of packages: not reviewed."
 
 
 def _packages(review: Review) -> Iterator[str]:
@@ -83,7 +83,7 @@ def _packages(review: Review) -> Iterator[str]:
         gates = "; ".join(f"{gate.name}: {gate_summary(gate)}" for gate in report.gates) or "nothing was checked"
         yield f"| {cell(touched.path)} | {touched.change} | {verdict_with_icon(verdict_of(report))} | {gates} |"
     if len(review.reports) > _ROWS:
-        yield f"\nand {amount(len(review.reports) - _ROWS, 'package')} more."
+        yield f"\nand {count_noun(len(review.reports) - _ROWS, 'package')} more."
 
 
 def _description(review: Review) -> Iterator[str]:
@@ -115,7 +115,7 @@ def _left_out(review: Review) -> Iterator[str]:
     rest = review.remarks[len(review.reported) :]
     if rest:
         rules = Counter(remark.first.result.code for remark in rest)
-        yield f"\n{amount(len(rest), 'finding')} of less harm not listed: {', '.join(sorted(rules))}."
+        yield f"\n{count_noun(len(rest), 'finding')} of less harm not listed: {', '.join(sorted(rules))}."
         paths = dict.fromkeys(remark.first.target.path for remark in rest)
         yield f"\n    {command(['xpl', 'audit', *paths])}"
 

@@ -75,7 +75,8 @@ def _record_commands(reports: Iterable[TargetReport], context: ReportContext) ->
 def _lacks_more(report: TargetReport) -> bool:
     """Return whether a rule could not run for another reason than missing golden pairs."""
     of_pairs = {PARITY.rule} if report.circumstances.is_unrecorded else set()
-    return {item.code for item in report.results if item.outcome is Outcome.NOT_RUN} != of_pairs
+    started = (gate for gate in report.gates if gate.reason is None)  # the others wait for an earlier gate
+    return {item.code for gate in started for item in gate.results if item.outcome is Outcome.NOT_RUN} != of_pairs
 
 
 def _command_that_shows_why(report: TargetReport, context: ReportContext) -> str:

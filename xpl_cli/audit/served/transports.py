@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl import images
+from xpl import image_codec
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -23,16 +23,16 @@ def _legacy_jpeg(image: np.ndarray) -> bytes:
 
     target = io.BytesIO()
     exchanged = np.ascontiguousarray(image[:, :, ::-1])
-    Image.fromarray(exchanged).save(target, "JPEG", quality=images.DEFAULT_QUALITY)
+    Image.fromarray(exchanged).save(target, "JPEG", quality=image_codec.DEFAULT_QUALITY)
     return target.getvalue()
 
 
 LEGACY: Final = "legacy JPEG"
 """The only encoding that adapters without the SDK get."""
 FORMS: Final[Mapping[str, Callable[[np.ndarray], bytes]]] = {
-    "marked JPEG": images.encode_jpeg,
+    "marked JPEG": image_codec.encode_jpeg,
     LEGACY: _legacy_jpeg,
-    "true-RGB PNG": images.encode_png,
+    "true-RGB PNG": image_codec.encode_png,
 }
 """Encoders of (H, W, 3) uint8 RGB images by name."""
 
@@ -45,7 +45,7 @@ def encoded(obs: ObservationDict, form: str) -> ObservationDict:
 
 def decoded(obs: ObservationDict) -> ObservationDict:
     """Return an observation with every image decoded as the standard says."""
-    return _each_picture(obs, images.decode)
+    return _each_picture(obs, image_codec.decode)
 
 
 def error_of(obs: ObservationDict, other: ObservationDict) -> int:

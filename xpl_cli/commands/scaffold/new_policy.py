@@ -98,7 +98,7 @@ def new_policy(
         block=False if code else None,
         reference=reference or None,
     )
-    if not as_json and not dry_run and _is_asked():
+    if not as_json and not dry_run and _can_prompt():
         adapter.check_name(name)
         chosen.update(_ask(chosen))
     answers = adapter.answers_of(name=name, **{**adapter.defaults(), **chosen})
@@ -123,7 +123,7 @@ def _next(target: Path, *, install: bool) -> list[str]:
     return [*([f"xpl install {path}"] if install else []), f"xpl audit {path}"]
 
 
-def _is_asked() -> bool:
+def _can_prompt() -> bool:
     """Tell whether a user at a terminal can be prompted."""
     import os
     import sys

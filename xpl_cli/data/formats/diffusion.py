@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl.images import PIXELS
+from xpl.image_codec import PIXELS
 from xpl_cli.basics import files
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets import documents

@@ -16,7 +16,7 @@ import numpy as np
 
 from xpl.trajectory import TrajectoryError, storage
 from xpl.trajectory import image_datasets as stored
-from xpl_cli.data.formats import image_codec, libraries
+from xpl_cli.data.formats import image_files, libraries
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Extras
 from xpl_cli.data.sets.outlined import Outline, OutlinedEpisode
@@ -195,7 +195,7 @@ class Hdf5Episode(OutlinedEpisode):
                     yield image[..., 0] if camera_info.kind == "depth" and image.ndim == 3 else image
                 return
             for index, data in stored.read_encoded(dataset, steps):
-                yield image_codec.decode_image(
+                yield image_files.decode_image(
                     data.rstrip(b"\0"), f"{self._path}, {self._key}, {camera}, image {index}"
                 )
 

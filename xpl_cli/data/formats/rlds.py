@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl.images import PIXELS, size_of
+from xpl.image_codec import PIXELS, size_of
 from xpl_cli.data.sets import limits
 from xpl_cli.data.sets.errors import DataError, LibraryMissingError
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras

@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any, Final, Literal, cast
 import numpy as np
 
 from xpl import _spec as spec
-from xpl import images, json_text, trajectory
+from xpl import image_codec, json_text, trajectory
 from xpl.trajectory import TrajectoryError, names
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import hdf5, image_codec, libraries
+from xpl_cli.data.formats import hdf5, image_files, libraries
 from xpl_cli.data.formats.folders import FolderSet, instructions_in
 from xpl_cli.data.formats.writing import CONVERTED, NamingScheme, WrittenEpisode
 from xpl_cli.data.sets import trajectory_schema
@@ -209,9 +209,9 @@ def _instruction(episode: RecordedEpisode) -> dict[str, Any]:
 def _jpegs(frames: Iterable[np.ndarray], psnr_db: list[float]) -> Iterator[bytes]:
     """Yield images as the standard's JPEGs; append the PSNR of every 16th to `psnr_db`."""
     for index, frame in enumerate(frames):
-        data = images.encode_jpeg(frame)
+        data = image_codec.encode_jpeg(frame)
         if index % _SAMPLED == 0:
-            psnr_db.append(image_codec.psnr(frame, images.decode(data)))
+            psnr_db.append(image_files.psnr(frame, image_codec.decode(data)))
         yield data
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl.images import PIXELS
+from xpl.image_codec import PIXELS
 from xpl_cli.data.formats import libraries
 from xpl_cli.data.sets.errors import DataError
 

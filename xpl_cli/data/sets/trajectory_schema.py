@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl import images, json_text, trajectory
+from xpl import image_codec, json_text, trajectory
 from xpl.observation import ObservationError
 from xpl.trajectory import image_datasets, names, storage
 from xpl_cli.data.sets.errors import DataError
@@ -92,7 +92,7 @@ def _of_images(recording: trajectory.Trajectory) -> Iterator[Problem]:
             )
         for step in sorted({0, count // 2, count - 1}) if count else ():
             try:
-                images.size_of(image_datasets.read_row(dataset, step))
+                image_codec.size_of(image_datasets.read_row(dataset, step))
             except (ObservationError, trajectory.TrajectoryError) as error:
                 yield Problem(
                     path_of_problem, f"expected an encoded image at step {step}, got none: {error}", "an encoded image"

@@ -10,7 +10,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats.image_codec import thumbnail
+from xpl_cli.data.formats.image_files import thumbnail
 from xpl_cli.data.sets.errors import DataError
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from xpl_cli.basics import pages
-from xpl_cli.data.formats import image_codec
+from xpl_cli.data.formats import image_files
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -48,7 +48,7 @@ def _strip(strip: Strip) -> dict[str, Any]:
 
 
 def _source(image: NDArray[np.uint8]) -> str:
-    data = image_codec.encode_image(image_codec.thumbnail(image, _THUMBNAIL), "jpeg")
+    data = image_files.encode_image(image_files.thumbnail(image, _THUMBNAIL), "jpeg")
     return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from xpl_cli.data.formats.image_codec import thumbnail
+from xpl_cli.data.formats.image_files import thumbnail
 
 if TYPE_CHECKING:
     from xpl_cli.data.show.episode_view import Chart, EpisodeView

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl import images
+from xpl import image_codec
 from xpl_cli.basics import pages
 from xpl_cli.model_io.show import formatting
 from xpl_cli.model_io.show.sheet import ROBOT
@@ -71,4 +71,4 @@ def _data(picture: np.ndarray) -> str:
     made = Image.fromarray(np.ascontiguousarray(picture))
     if made.width > _WIDEST:
         made = made.resize((_WIDEST, max(1, round(made.height * _WIDEST / made.width))))
-    return f"data:image/png;base64,{base64.b64encode(images.encode_png(np.asarray(made))).decode()}"
+    return f"data:image/png;base64,{base64.b64encode(image_codec.encode_png(np.asarray(made))).decode()}"

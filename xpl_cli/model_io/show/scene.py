@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
-from xpl import images
+from xpl import image_codec
 from xpl.convert import ConversionError
 from xpl.observation import ObservationError
 from xpl_cli.basics import files
@@ -115,7 +115,7 @@ def of_environment(
     with contextlib.closing(environment) as env:
         try:
             env.reset([episode.seed])
-            observation = images.decode_observation(env.get_obs())
+            observation = image_codec.decode_observation(env.get_obs())
         except (RuntimeError, ObservationError) as error:
             raise UserError(f"{name}: {error}", code=ExitCode.NOT_RUN) from None
     missing = [camera for camera in cameras if camera not in observation[sdk.Obs.VISION]]
@@ -145,7 +145,7 @@ def photographed(scene: ReportScene, photos: Mapping[str, Path]) -> ReportScene:
 def _photos(photos: Mapping[str, Path]) -> Iterator[tuple[str, np.ndarray]]:
     for camera, path in photos.items():
         try:
-            yield camera, images.decode(files.read_regular(path, _PHOTO_BYTES))
+            yield camera, image_codec.decode(files.read_regular(path, _PHOTO_BYTES))
         except (OSError, ObservationError) as error:
             raise UserError(f"{path} is no picture: {error}", code=ExitCode.NOT_FOUND) from None
 

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl.images import PIXELS
+from xpl.image_codec import PIXELS
 from xpl.trajectory import storage
-from xpl_cli.data.formats import image_codec, libraries, video
+from xpl_cli.data.formats import image_files, libraries, video
 from xpl_cli.data.formats.lerobot import layout
 from xpl_cli.data.sets.errors import DataError
 from xpl_cli.data.sets.interface import CameraInfo, ColumnInfo, Demonstrations, Extras, VideoClip
@@ -216,7 +216,7 @@ class LeRobotEpisode(OutlinedEpisode):
             yield from video.frames(self._owner.root / path, begins, self._owner.info.rate_hz, first, last)
             return
         for index, data in self._owner.pictures(self.entry, camera, first, last):
-            yield image_codec.decode_image(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
+            yield image_files.decode_image(data, f"{self._owner.root / self.entry.data}, {camera}, image {index}")
 
 
 def _camera(where: Path, name: str, feature: layout.Feature) -> CameraInfo:

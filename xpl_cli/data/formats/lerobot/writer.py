@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from xpl import images
+from xpl import image_codec
 from xpl_cli.basics.atomic import write_file
 from xpl_cli.basics.errors import ExitCode
-from xpl_cli.data.formats import image_codec, video, video_encoding
+from xpl_cli.data.formats import image_files, video, video_encoding
 from xpl_cli.data.formats.lerobot import layout, stats, tables
 from xpl_cli.data.formats.lerobot.layout import Feature
 from xpl_cli.data.formats.writing import NamingScheme, WrittenEpisode
@@ -212,7 +212,7 @@ def _write_video(
     video_encoding.encode_video(path, frames_with_sampling(), rate, plan.options.codec, plan.options.crf)
     sample = min(episode.length, _SAMPLED)
     back = video.frames(path, 0.0, rate, 0, sample)
-    worst = min(image_codec.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
+    worst = min(image_files.psnr(one, other) for one, other in zip(episode.frames(name, 0, sample), back, strict=True))
     return plan.options.codec, min(worst, _EXACT), stats.of_images(sampled)
 
 
@@ -232,7 +232,7 @@ def _pngs(episode: RecordedEpisode, name: str) -> tuple[list[dict[str, Any]], st
     steps = set(stats.sampled_steps(episode.length))
     rows, sampled = [], []
     for index, frame in enumerate(episode.frames(name)):
-        rows.append({"bytes": images.encode_png(frame), "path": f"frame-{index:06d}.png"})
+        rows.append({"bytes": image_codec.encode_png(frame), "path": f"frame-{index:06d}.png"})
         if index in steps:
             sampled.append(stats.downsample(frame))
     return rows, stats.of_images(sampled)

@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from xpl import _spec as spec
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError, get_image
 
 RED, BLUE = (255, 0, 0), (0, 0, 255)
@@ -45,55 +45,57 @@ def with_segment(data: bytes, kind: int, content: bytes, before: bytes = b"") ->
 
 
 def test_a_marked_jpeg_is_true_rgb() -> None:
-    data = images.encode_jpeg(picture())
-    assert images.has_marker(data)
-    assert is_picture(images.decode(data))
+    data = image_codec.encode_jpeg(picture())
+    assert image_codec.has_marker(data)
+    assert is_picture(image_codec.decode(data))
     assert is_picture(np.array(Image.open(io.BytesIO(data))))
 
 
 def test_a_legacy_jpeg_decodes_to_rgb() -> None:
     """Without the marker red and blue are exchanged in the file."""
     data = legacy(picture())
-    assert not images.has_marker(data)
-    assert is_picture(images.decode(data))
+    assert not image_codec.has_marker(data)
+    assert is_picture(image_codec.decode(data))
     assert not is_picture(np.array(Image.open(io.BytesIO(data))))
 
 
 def test_the_marker_is_found_wherever_a_header_segment_may_be() -> None:
     plain = jpeg(picture())
     marked = with_segment(plain, 0xFE, spec.JPEG_MARKER)
-    assert images.has_marker(marked)
-    assert images.has_marker(with_segment(marked, 0xE1, b"\xff\xda" + b"Exif" * 100))
-    assert images.has_marker(with_segment(marked, 0xFE, b"made by someone"))
-    assert images.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER, before=b"\xff\xff\xff"[:2]))
-    assert images.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER, before=b"\xff\x01"))
-    assert images.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER + b"\0\0"))
-    assert images.has_marker(jpeg(picture(), comment=spec.JPEG_MARKER, exif=b"Exif\0\0" + bytes(500)))
+    assert image_codec.has_marker(marked)
+    assert image_codec.has_marker(with_segment(marked, 0xE1, b"\xff\xda" + b"Exif" * 100))
+    assert image_codec.has_marker(with_segment(marked, 0xFE, b"made by someone"))
+    assert image_codec.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER, before=b"\xff\xff\xff"[:2]))
+    assert image_codec.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER, before=b"\xff\x01"))
+    assert image_codec.has_marker(with_segment(plain, 0xFE, spec.JPEG_MARKER + b"\0\0"))
+    assert image_codec.has_marker(jpeg(picture(), comment=spec.JPEG_MARKER, exif=b"Exif\0\0" + bytes(500)))
 
 
 def test_the_marker_elsewhere_is_no_marker() -> None:
     plain = legacy(picture())
-    assert not images.has_marker(with_segment(plain, 0xE1, spec.JPEG_MARKER))
-    assert not images.has_marker(with_segment(plain, 0xFE, b"not " + spec.JPEG_MARKER))
-    assert not images.has_marker(plain + b"\xff\xfe\x00\x0a" + spec.JPEG_MARKER)
+    assert not image_codec.has_marker(with_segment(plain, 0xE1, spec.JPEG_MARKER))
+    assert not image_codec.has_marker(with_segment(plain, 0xFE, b"not " + spec.JPEG_MARKER))
+    assert not image_codec.has_marker(plain + b"\xff\xfe\x00\x0a" + spec.JPEG_MARKER)
 
 
 def test_png_has_no_legacy_form() -> None:
-    assert np.array_equal(images.decode(images.encode_png(picture())), picture())
+    assert np.array_equal(image_codec.decode(image_codec.encode_png(picture())), picture())
 
 
-@pytest.mark.parametrize("data", [images.encode_jpeg(picture()), legacy(picture()), images.encode_png(picture())])
+@pytest.mark.parametrize(
+    "data", [image_codec.encode_jpeg(picture()), legacy(picture()), image_codec.encode_png(picture())]
+)
 def test_padding_and_containers_do_not_matter(data: bytes) -> None:
     """Datasets pad with NUL; the wire delivers bytes or one-dimensional uint8 arrays."""
     padded = data + bytes(77)
     for form in (padded, bytearray(padded), memoryview(padded), np.frombuffer(padded, np.uint8)):
-        assert is_picture(images.decode(form))
+        assert is_picture(image_codec.decode(form))
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"no image", images.encode_png(picture())[:60], bytes(100)])
+@pytest.mark.parametrize("data", [b"", b"\xff\xd8", b"no image", image_codec.encode_png(picture())[:60], bytes(100)])
 def test_what_is_no_image_is_an_observation_error(data: bytes) -> None:
     with pytest.raises(ObservationError, match="do not decode as an image"):
-        images.decode(data)
+        image_codec.decode(data)
 
 
 def test_a_small_file_cannot_unpack_to_gigabytes() -> None:
@@ -102,18 +104,18 @@ def test_a_small_file_cannot_unpack_to_gigabytes() -> None:
     header = b"IHDR" + size + b"\x08\x02\0\0\0"
     png = b"\x89PNG\r\n\x1a\n" + (13).to_bytes(4, "big") + header + zlib.crc32(header).to_bytes(4, "big")
     with pytest.raises(ObservationError, match="64000000 pixels"):
-        images.decode(png + b"\0\0\0\0IDAT" + zlib.crc32(b"IDAT").to_bytes(4, "big"))
+        image_codec.decode(png + b"\0\0\0\0IDAT" + zlib.crc32(b"IDAT").to_bytes(4, "big"))
 
 
 def test_formats_that_start_programs_are_not_read() -> None:
     eps = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 10 10\n%%EndComments\nshowpage\n"
     with pytest.raises(ObservationError):
-        images.decode(eps)
+        image_codec.decode(eps)
 
 
 @pytest.mark.parametrize("image", [np.zeros((2, 2)), np.zeros((2, 2, 3)), np.zeros((2, 2, 4), np.uint8)])
 def test_only_rgb_is_encoded(image: np.ndarray) -> None:
-    for encode in (images.encode_jpeg, images.encode_png):
+    for encode in (image_codec.encode_jpeg, image_codec.encode_png):
         with pytest.raises(ObservationError, match=r"\(H, W, 3\) uint8"):
             encode(image)
 
@@ -121,7 +123,7 @@ def test_only_rgb_is_encoded(image: np.ndarray) -> None:
 @pytest.mark.parametrize("spelling", ["color", "colors", "rgb", "image", None])
 @pytest.mark.parametrize("form", [bytes, lambda data: np.frombuffer(data, np.uint8)], ids=["bytes", "array"])
 def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, form: Any) -> None:
-    encoded = form(images.encode_png(picture()))
+    encoded = form(image_codec.encode_png(picture()))
     depth = np.ones((2, 2), np.float32)
     camera: Any = encoded if spelling is None else {spelling: encoded, "depth": depth, "own": b"bytes"}
     obs: dict[str, Any] = {
@@ -129,7 +131,7 @@ def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, fo
         "state": {},
         "extra": b"kept",
     }
-    decoded = images.decode_observation(obs)
+    decoded = image_codec.decode_observation(obs)
     assert np.array_equal(get_image(decoded, "cam_head"), picture())
     assert np.array_equal(get_image(decoded, "cam_wrist"), picture())
     assert decoded["extra"] == b"kept"
@@ -142,4 +144,4 @@ def test_an_observation_is_decoded_under_every_spelling(spelling: str | None, fo
 
 @pytest.mark.parametrize("value", [None, 3, "text", [1], {}, {"vision": None}, {"vision": {"cam_head": None}}])
 def test_what_holds_no_image_passes_through(value: Any) -> None:
-    assert images.decode_observation(value) == value
+    assert image_codec.decode_observation(value) == value

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from PIL import Image
 
-from xpl import images
+from xpl import image_codec
 from xpl.observation import ObservationError
 from xpl_cli.data.sets.errors import DataError
 
@@ -29,10 +29,10 @@ def decode_image(data: bytes, where: str) -> NDArray[np.uint8]:
         DataError: the image cannot be decoded.
     """
     try:
-        image: NDArray[np.uint8] = images.decode(data)
+        image: NDArray[np.uint8] = image_codec.decode(data)
     except ObservationError as error:
         raise DataError(f"{where}: {error}") from None
-    is_exchanged = data.startswith(_JPEG) and not images.has_marker(data)
+    is_exchanged = data.startswith(_JPEG) and not image_codec.has_marker(data)
     return np.ascontiguousarray(image[:, :, ::-1]) if is_exchanged else image
 
 
@@ -48,7 +48,7 @@ def encode_image(image: NDArray[np.uint8], encoding: str) -> bytes:
     if encoding == "png":
         picture.save(target, "PNG", compress_level=1)
     else:
-        picture.save(target, "JPEG", quality=images.DEFAULT_QUALITY)
+        picture.save(target, "JPEG", quality=image_codec.DEFAULT_QUALITY)
     return target.getvalue()
 
 
