@@ -179,7 +179,7 @@ def test_time_that_is_over_ends_an_audit(audit: Callable[..., Any], write_adapte
     """Every rule that has not been tried is not run, and says why."""
     del audit
     folder = write_adapter(textwrap.dedent(MODEL).format(at_import="", at_load="pass", at_answer="", at_reset="pass"))
-    options = AuditOptions(gates=(Gate.OFFLINE,), clock=TimeLimit("1s", 1e-6))
+    options = AuditOptions(gates=(Gate.OFFLINE,), time_limit=TimeLimit("1s", 1e-6))
     report = engine.audit(folder, "policy", options)
     assert {result.outcome for result in report.results} == {Outcome.NOT_RUN}
     assert "1s for each package (--time-limit)" in _texts(report)
@@ -245,7 +245,7 @@ def _verdict(life: HangDetector, until: float, step: float) -> str | None:
     end = now + until
     while now < end:
         now += step
-        reason = life.look(now)
+        reason = life.check(now)
         if reason is not None:
             return reason
     return None

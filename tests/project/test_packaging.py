@@ -223,9 +223,10 @@ def test_the_source_distribution_builds_the_same_wheel(sdist: Path, wheel: Path,
 def test_the_installed_wheel_runs(installed: Installation) -> None:
     assert "audit" in installed.run("xpl", "--help").stdout
     code = (
-        "import xpl, xpl_cli.basics.content as c; print(xpl.__file__, *map(c.content_folder, ('spec', 'conformance')))"
+        "import xpl; from xpl_cli.basics.content import content_folder; "
+        "print(xpl.__file__, content_folder('spec'), content_folder('conformance'), sep='\\n')"
     )
-    found = [Path(line) for line in installed.run("python", "-c", code).stdout.split()]
+    found = [Path(line) for line in installed.run("python", "-c", code).stdout.splitlines()]
     assert all(path.is_relative_to(installed.scripts.parent) and path.exists() for path in found)
     assert os.access(found[-1].parent / SCRIPT, os.X_OK)
 

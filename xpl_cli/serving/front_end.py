@@ -385,7 +385,7 @@ class FrontEnd:
             if not self.failed.done():
                 self.failed.set_result(reason)
             return
-        log(f"{reason}; {len(self.workers)} workers continue")
+        log(f"{reason}; {len(self.workers)} of the workers continue")
         self._loop.create_task(worker.process.stop(grace=1.0))
 
 

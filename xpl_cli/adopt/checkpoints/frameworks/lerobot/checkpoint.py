@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
 NAME: Final = "lerobot"
 _HUB_NAME: Final = re.compile(r"[A-Za-z0-9][\w.-]*/[A-Za-z0-9][\w.-]*")
-_OWN_NAMES: Final = ("repo_id", "pretrained_path")
-"""Keys that name the checkpoint itself, or what it was trained from."""
+_OWN_NAMES: Final = ("repo_id",)
+"""Keys that name the checkpoint itself."""
 CONFIG: Final = "config.json"
 _BEFORE: Final = "policy_preprocessor.json"
 _AFTER: Final = "policy_postprocessor.json"
