@@ -94,9 +94,9 @@ def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Fin
         if ties
         else ""
     )
-    given = dict(enumerate(demonstrations.answers))
-    picture, part = plot_errors(demonstrations.metric, given, best.answers, best.words)
-    changed = demonstrations.metric.errors(best.answers, range(len(given)))
+    actual = dict(enumerate(demonstrations.answers))
+    picture, part = plot_errors(demonstrations.metric, actual, best.answers, best.words)
+    changed = demonstrations.metric.errors(best.answers, range(len(actual)))
     table = demonstrations.table(changed)
     where = "in the block `model_io`" if best.in_block else "in encode, predict or decode"
     evidence: dict[str, Any] = {
@@ -108,7 +108,7 @@ def _finding(demonstrations: DemonstrationComparison, best: ScoredChange) -> Fin
             "ties": ties,
         },
         "episodes": demonstrations.episodes,
-        "questions": len(given),
+        "questions": len(actual),
         "errors": table,
         "part": part,
         "picture": picture,

@@ -114,18 +114,18 @@ def _imports(tree: ast.Module, name: str) -> bool:
 
 def _returned(source: Source, make: Function) -> ModelClass | None:
     """Return the class that a function returns an object of: by its `return`, or by its annotation."""
-    known = symbols(source, make.file).classes
+    classes = symbols(source, make.file).classes
     values = [node.value for node in make.nodes if isinstance(node, ast.Return) and node.value is not None]
     made = {
         node.targets[0].id: node.value
         for node in make.nodes
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name)
     }
-    found = set()
+    returned = set()
     for value in values:
         origin = made.get(value.id, value) if isinstance(value, ast.Name) else value
-        found.add(dotted(origin.func) if isinstance(origin, ast.Call) else "")
-    if len(found) == 1 and (name := found.pop()) in known:
-        return ModelClass.from_node(source, *known[name])
+        returned.add(dotted(origin.func) if isinstance(origin, ast.Call) else "")
+    if len(returned) == 1 and (name := returned.pop()) in classes:
+        return ModelClass.from_node(source, *classes[name])
     annotated = dotted(make.node.returns) if make.node.returns is not None else ""
-    return ModelClass.from_node(source, *known[annotated]) if annotated in known else None
+    return ModelClass.from_node(source, *classes[annotated]) if annotated in classes else None

@@ -38,9 +38,9 @@ def _repeated(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
         play.reset(0)
         (first,) = play.observe()
         for step in range(2):
-            (seen,) = play.observe()
+            (last,) = play.observe()
             (again,) = play.call("get_obs_batch", [0], True)  # noqa: FBT003 - as benchmarks pass it
-            where = difference(ObservedEpisode((seen,), {}), ObservedEpisode((again,), {}))
+            where = difference(ObservedEpisode((last,), {}), ObservedEpisode((again,), {}))
             if where is not None:
                 yield env_probe.finding(
                     f"{offer}: with last_frame the observation differs, {where}",

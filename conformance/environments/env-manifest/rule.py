@@ -33,14 +33,14 @@ def env_manifest(source: Source) -> Iterator[Finding]:
     """
     values = source.yaml(_NAME)
     yield from schema_findings(source, _NAME, "env", "{} is not understood")
-    given = values.get("name") if isinstance(values, dict) else None
-    if isinstance(given, str) and given != source.path.name:
+    name = values.get("name") if isinstance(values, dict) else None
+    if isinstance(name, str) and name != source.path.name:
         yield Finding(
-            f"results of {source.path.name} are recorded under {given}",
+            f"results of {source.path.name} are recorded under {name}",
             path=_NAME,
             line=key_line(source, _NAME, "name"),
             column=1,
             expected=source.path.name,
-            got=given,
+            got=name,
             fix=rename_fix(source, _NAME, "name"),
         )

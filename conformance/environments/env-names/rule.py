@@ -36,12 +36,12 @@ def env_names(source: Source) -> Iterator[Finding]:
     """
     values = source.manifest_of(_NAME)
     cameras = {*sdk.OPTIONAL_CAMERAS, *(name for names in sdk.CAMERAS.values() for name in names)}
-    for key, known, what in (
+    for key, allowed, what in (
         ("embodiments", robots.names(), "robot"),
         ("cameras", cameras, "camera"),
         ("action_types", set(sdk.ACTION_TYPES), "kind of action"),
     ):
-        yield from _unknown(source, key, values.get(key), known, what)
+        yield from _unknown(source, key, values.get(key), allowed, what)
     tasks = values.get("tasks")
     for name, task in tasks.items() if isinstance(tasks, dict) else ():
         stages = task.get("stages") if isinstance(task, dict) else None
@@ -58,17 +58,17 @@ def env_names(source: Source) -> Iterator[Finding]:
             )
 
 
-def _unknown(source: Source, key: str, given: object, known: Collection[str], what: str) -> Iterator[Finding]:
-    entries: Iterable[object] = given if isinstance(given, (list, dict)) else ()
+def _unknown(source: Source, key: str, value: object, allowed: Collection[str], what: str) -> Iterator[Finding]:
+    entries: Iterable[object] = value if isinstance(value, (list, dict)) else ()
     for entry in entries:
-        if isinstance(entry, str) and entry not in known:
-            near = get_close_matches(entry, known, n=1, cutoff=0.4)
+        if isinstance(entry, str) and entry not in allowed:
+            near = get_close_matches(entry, allowed, n=1, cutoff=0.4)
             yield Finding(
                 f"no policy finds the {what} {entry}: the standard has none of that name",
                 path=_NAME,
                 line=_line(source, entry, key),
                 column=1,
-                expected=", ".join(sorted(known)),
+                expected=", ".join(sorted(allowed)),
                 got=entry,
                 fix=Fix("advice", f"rename it{f' to {near[0]}' if near else ''}"),
             )

@@ -39,11 +39,11 @@ def _looked_at(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
     with env_probe.make_env(offer, cameras=env_probe.cameras) as play:
         play.reset(0)
         (first,) = play.observe()
-        found = list(problems(env_probe, offer, first))
-        if not found:
+        violations = list(problems(env_probe, offer, first))
+        if not violations:
             play.act({0: motion(offer, first, 1)})
-            found = list(problems(env_probe, offer, play.observe(0)[0]))
-    for problem in found:
+            violations = list(problems(env_probe, offer, play.observe(0)[0]))
+    for problem in violations:
         yield env_probe.finding(
             f"{offer}: {problem}",
             expected="an observation of the standard",

@@ -55,11 +55,11 @@ def _shrinks(env_probe: EnvProbe, offer: Offer) -> Iterator[Finding]:
             text = f"{offer}: the step limit is {LIMIT}, and after it the running list is still {after}"
             yield _wrong(env_probe, text, "[]", str(after))
             return
-        seen = play.observe(*envs)
+        final = play.observe(*envs)
         # Refusing an action that comes too late is as good as ignoring it.
         with contextlib.suppress(EnvRaisedError):
             play.act({env: motion(offer, first[env], LIMIT) for env in envs})
-        late = ObservedEpisode(tuple(play.observe(*envs)), {}), ObservedEpisode(tuple(seen), {})
+        late = ObservedEpisode(tuple(play.observe(*envs)), {}), ObservedEpisode(tuple(final), {})
         moved = difference(*late, env_probe.rest_tolerance)
         if moved is not None or play.results() != results:
             text = f"{offer}: an action after the end still changes the environment ({moved or 'its result'})"

@@ -38,7 +38,7 @@ def control_rate(simulation: Simulation) -> Iterator[Finding]:
     No automatic fix.
     """
     rate = simulation.probe.package.manifest.control_frequency or simulation.frequency
-    times = [(played, found) for played in simulation.sound_rollouts() if (found := _middle(played)) is not None]
+    times = [(played, interval) for played in simulation.sound_rollouts() if (interval := _middle(played)) is not None]
     if not times:
         raise NotApplicable("no chunk was executed to its end besides the first")
     slow = [(played, waits, lasts / rate) for played, (waits, lasts) in times if waits > lasts / rate]

@@ -34,7 +34,7 @@ def action_structure(motions: MotionEpisodes) -> Iterator[Finding]:
     """
     alike: dict[str, list[tuple[MotionEpisode, MotionAnswer]]] = {}
     for motion in motions.all:
-        wrong = next(((answer, found) for answer in motion.answers if (found := motion.problem(answer))), None)
+        wrong = next(((answer, error) for answer in motion.answers if (error := motion.problem(answer))), None)
         if wrong is not None:
             answer, problem = wrong
             alike.setdefault(problem, []).append((motion, answer))

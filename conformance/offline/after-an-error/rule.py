@@ -69,14 +69,14 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
         )
         return
     for step, pair in enumerate(zip(expected, after, strict=True)):
-        found = difference(*pair)
-        if found is not None:
+        mismatch = difference(*pair)
+        if mismatch is not None:
             probe.require_repeatable_afresh()
             yield blame(
                 f"the episode after one with errors differs, from step {step} on: state that an error left "
                 "survives reset",
                 expected="the actions of the same episode after one without errors",
-                got=found,
+                got=mismatch,
                 evidence={
                     "step": step,
                     "refused": refused,

@@ -32,14 +32,14 @@ def any_working_directory(configurations: Configurations) -> Iterator[Finding]:
     """
     if not configurations.probe.package.manifest.deterministic:
         usual, there = configurations.usual, configurations.from_elsewhere()
-        found = there.refusal if usual.refusal is None else None
+        mismatch = there.refusal if usual.refusal is None else None
     else:
         configurations.require_repeats()
-        found = configurations.usual.difference(configurations.from_elsewhere())
-    if found is not None:
+        mismatch = configurations.usual.difference(configurations.from_elsewhere())
+    if mismatch is not None:
         yield blame(
             "from another working directory the adapter acts differently: it depends on where a launcher started it",
             expected="the same actions",
-            got=found,
+            got=mismatch,
             fix=Fix("advice", "join relative paths to self.policy_dir"),
         )

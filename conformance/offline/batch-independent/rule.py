@@ -41,13 +41,13 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     for env in envs:
         by_itself = probe.batch_episode([env], instruction=instruction)
         for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
-            found = probe.batch_difference(alone, batch[env : env + 1] if is_answer_list(batch) else batch)
-            if found is not None:
+            mismatch = probe.batch_difference(alone, batch[env : env + 1] if is_answer_list(batch) else batch)
+            if mismatch is not None:
                 yield blame(
                     f"environment {env} acts differently in a batch than alone, from step {step} on: state is "
                     "shared, and results depend on how many run at once",
                     expected="the actions of a run alone",
-                    got=found,
+                    got=mismatch,
                     evidence={
                         "environment": env,
                         "step": step,

@@ -32,7 +32,7 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     probe.require_answer()
     envs = [4, 2]
     batch = probe.observations(envs)
-    listed, implied, empty = (probe.batch_answer(batch, wanted) for wanted in (envs, None, []))
+    listed, implied, empty = (probe.batch_answer(batch, indices) for indices in (envs, None, []))
     if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
         follows = "an evaluation stops" if error_code(empty) else "a second get_action_batch on one batch works"
         yield blame(
@@ -41,11 +41,11 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
             got=brief(empty),
             fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` treats an empty list as missing"),
         )
-    found = difference(listed, implied)
-    if found is not None:
+    mismatch = difference(listed, implied)
+    if mismatch is not None:
         yield blame(
             "get_action_batch(None) does not follow the order of the last batch: robots receive each other's commands",
             expected=f"the answer for {envs}",
-            got=found,
+            got=mismatch,
             fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
         )

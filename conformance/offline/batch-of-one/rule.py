@@ -45,13 +45,13 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
             implied.append(policy.get_action_batch(None))
     for form, episode in (("get_action()", single), ("get_action_batch(None)", implied)):
         for step, (expected, answer) in enumerate(zip(batch, episode, strict=True)):
-            found = difference(expected, answer)
-            if found is not None:
+            mismatch = difference(expected, answer)
+            if mismatch is not None:
                 yield blame(
                     f"{form} gives environment {env} other actions than get_action_batch([{env}]), from step "
                     f"{step} on: the score depends on whether an evaluation is batched",
                     expected=f"the actions of get_action_batch([{env}])",
-                    got=found,
+                    got=mismatch,
                     evidence={
                         "environment": env,
                         "step": step,

@@ -50,17 +50,17 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
         )
         return
     alone = dict(zip(envs, whole, strict=True))
-    for wanted in ([9], [9, 3], [7, 9, 3]):
-        answer = probe.batch_answer(batch, wanted)
-        found = probe.batch_difference([alone[env] for env in wanted], answer)
-        if found is not None:
+    for indices in ([9], [9, 3], [7, 9, 3]):
+        answer = probe.batch_answer(batch, indices)
+        mismatch = probe.batch_difference([alone[env] for env in indices], answer)
+        if mismatch is not None:
             yield blame(
-                f"get_action_batch({wanted}) {describe_wrong_batch(answer, alone, wanted)}",
-                expected=f"the chunks of environments {wanted}, in this order",
-                got=found,
+                f"get_action_batch({indices}) {describe_wrong_batch(answer, alone, indices)}",
+                expected=f"the chunks of environments {indices}, in this order",
+                got=mismatch,
                 evidence={
                     "observed": envs,
-                    "asked": wanted,
+                    "asked": indices,
                     "first_action": first_step(answer[0]) if is_answer_list(answer) else None,
                 },
                 fix=Fix("advice", "look observations up by environment index, never by position in the list"),

@@ -51,23 +51,23 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     with probe.run() as policy:
         policy.reset()
         together = []
-        for step, (observed, asked) in enumerate(_STEPS):
+        for step, (observed, requested) in enumerate(_STEPS):
             policy.update_obs_batch(probe.observations(observed, step, instruction))
-            together.append(policy.get_action_batch(asked))
+            together.append(policy.get_action_batch(requested))
     for env in _COMPARED:
         lasts = sum(env in observed for observed, _ in _STEPS)
         for step, alone in enumerate(probe.batch_episode([env], lasts, instruction)):
-            observed, asked = _STEPS[step]
-            wanted = observed if asked is None else asked
-            answered, place = together[step], wanted.index(env)
-            beside = answered[place : place + 1] if is_answer_list(answered, len(wanted)) else answered
-            found = probe.batch_difference(alone, beside)
-            if found is not None:
+            observed, requested = _STEPS[step]
+            indices = observed if requested is None else requested
+            answered, position = together[step], indices.index(env)
+            beside = answered[position : position + 1] if is_answer_list(answered, len(indices)) else answered
+            mismatch = probe.batch_difference(alone, beside)
+            if mismatch is not None:
                 yield blame(
                     f"environment {env} acts differently in a batch whose other environments end than alone, "
                     f"from step {step} on: its state is stored by position in the batch",
                     expected="the actions of a run alone",
-                    got=found,
+                    got=mismatch,
                     evidence={
                         "environment": env,
                         "step": step,

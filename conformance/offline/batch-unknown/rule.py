@@ -30,11 +30,11 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.require_answer()
-    for wanted, what in (([3, 8], "environment 8, which was never observed"), ([3, 3], "environment 3 twice")):
+    for indices, what in (([3, 8], "environment 8, which was never observed"), ([3, 3], "environment 3 twice")):
         with probe.session() as policy:
             policy.reset()
             policy.update_obs_batch(probe.observations([3, 7]))
-            answer = policy.get_action_batch(wanted)
+            answer = policy.get_action_batch(indices)
         if error_code(answer) is None:
             yield blame(
                 f"for {what} the adapter returns an action instead of an error",

@@ -39,17 +39,17 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
         with probe.run() as policy:
             policy.reset()
             answered = []
-            for step, asked in enumerate(([0, 1], [1])):
+            for step, indices in enumerate(([0, 1], [1])):
                 batch = probe.observations([0, 1], step)
                 policy.update_obs_batch([_bare(obs) for obs in batch] if bare else batch)
-                answered.append(policy.get_action_batch(asked))
+                answered.append(policy.get_action_batch(indices))
             episodes.append(answered)
-    found = difference(*episodes)
-    if found is not None:
+    mismatch = difference(*episodes)
+    if mismatch is not None:
         yield blame(
             "observations without env_idx are not distinguished by position: one environment overwrites another",
             expected="the same actions as with env_idx 0 and 1",
-            got=found,
+            got=mismatch,
             evidence={"asked": [[0, 1], [1]]},
             fix=Fix("advice", "number the observations of a batch by position if all of them lack env_idx"),
         )

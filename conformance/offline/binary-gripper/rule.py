@@ -44,15 +44,15 @@ def binary_gripper(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     arms = [(motion, arm) for motion in motions.sound for arm in motion.embodiment.arms if arm.gripper != _HAND]
     if not arms:
         raise NotApplicable("no robot has a gripper that opens and closes")
-    told = set()
+    reported = set()
     for motion, arm in arms:
         key = arm.prefix + sdk.State.EE_JOINT_STATE
         for answer in motion.sound:
             commands = np.array([float(np.ravel(action[key])[0]) for action in answer.chunk])
             away = np.abs(commands[:, None] - _STATES).min(axis=1)
             worst = int(np.argmax(away))
-            if away[worst] > _EXACT and (motion.embodiment.name, key) not in told:
-                told.add((motion.embodiment.name, key))
+            if away[worst] > _EXACT and (motion.embodiment.name, key) not in reported:
+                reported.add((motion.embodiment.name, key))
                 yield blame(
                     f"{key} of {motion.embodiment.name} is commanded to {commands[worst]:.3g}, and only closed "
                     "and open are declared: a gripper of two states would round it",

@@ -58,13 +58,13 @@ def cut_connection(probe: Probe) -> Iterator[Finding]:
     except ClientError as error:
         answered.append(error)
     for step, (uncut, answer) in enumerate(zip(expected, answered, strict=False)):
-        found = str(answer) if isinstance(answer, ClientError) else difference(uncut, answer)
-        if found is not None:
+        mismatch = str(answer) if isinstance(answer, ClientError) else difference(uncut, answer)
+        if mismatch is not None:
             probe.require_repeatable_afresh()
             yield blame(
                 f"after a reconnect the policy acts differently, from step {step} on: results depend on the network",
                 expected="the actions of the same episode without a cut",
-                got=found,
+                got=mismatch,
                 evidence={
                     "step": step,
                     "cuts": cuts,

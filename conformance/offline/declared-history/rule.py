@@ -56,13 +56,13 @@ def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
     """Find an observation that counts although it is older than what is declared."""
     now = [probe.observation(0, step) for step in range(1, history + 1)]
     last = [_last_answer(probe, [_in_environment_0(probe, scene), *now]) for scene in (2, 3)]
-    found = difference(*last)
-    if found is not None:
+    mismatch = difference(*last)
+    if mismatch is not None:
         yield blame(
             f"the action of step {history} depends on the observation of step 0, although the manifest declares "
             f"a history of {history}: the policy acts on a scene that has changed",
             expected="the same action after another first observation",
-            got=found,
+            got=mismatch,
             evidence={
                 "step": history,
                 "declared_history": history,
@@ -106,11 +106,11 @@ def _asked_twice(probe: Probe, obs: ObservationDict) -> tuple[Answer, Answer]:
         return policy.act(obs), policy.get_action()
 
 
-def _last_answer(probe: Probe, shown: Sequence[ObservationDict]) -> Answer:
+def _last_answer(probe: Probe, observations: Sequence[ObservationDict]) -> Answer:
     """Return the last answer of an episode in which every observation is asked about."""
     with probe.run() as policy:
         policy.reset()
-        for obs in shown:
+        for obs in observations:
             policy.update_obs(obs)
             answer = policy.get_action()
     return answer

@@ -43,16 +43,16 @@ def first_action_near(motions: MotionEpisodes, parity: Parity) -> Iterator[Findi
             if answer.step:
                 continue
             state = answer.obs[spec.Obs.STATE]
-            found = list(jumps(motion.embodiment, state, answer.chunk[0], motions.frequency))
-            if found:
-                leap, own = _farthest(found), _golden_leap(parity, motion, motions.frequency)
+            excesses = list(jumps(motion.embodiment, state, answer.chunk[0], motions.frequency))
+            if excesses:
+                leap, own = _farthest(excesses), _golden_leap(parity, motion, motions.frequency)
                 is_foreign = own is not None and leap > _FOREIGN * own
                 yield blame(
                     f"the first {motion.action_type} action for {motion.embodiment.name} is farther from the observed "
                     f"pose than the robot moves in one step at {motions.frequency:g} Hz: it would leap"
                     f"{_beside(own, is_foreign=is_foreign)}",
                     expected="a first action near the observed pose",
-                    got=f"{answer.where}: {'; '.join(map(str, found))}",
+                    got=f"{answer.where}: {'; '.join(map(str, excesses))}",
                     evidence={SHARED: own is not None and not is_foreign},
                     fix=Fix("advice", _LOOK if own is None or is_foreign else _SHARED),
                     must=is_foreign,
@@ -78,24 +78,24 @@ def _beside(own: float | None, *, is_foreign: bool) -> str:
     return ", which those in golden_pairs.json do not" if is_foreign else ", as those in golden_pairs.json do"
 
 
-def _farthest(found: Iterable[Excess]) -> float:
+def _farthest(excesses: Iterable[Excess]) -> float:
     """Return how many times as far as a robot moves in one step the farthest is, at least 1."""
-    return max((excess.value / excess.limit for excess in found), default=1.0)
+    return max((excess.value / excess.limit for excess in excesses), default=1.0)
 
 
 def _golden_leap(parity: Parity, motion: MotionEpisode, frequency: float) -> float | None:
     """Return how far golden first actions are, in steps of the robot, at least 1; None without pairs of this robot."""
-    told = parity.recorded
-    asked = [
+    recorded = parity.recorded
+    first_questions = [
         (session, question)
-        for session in (told.sessions if told is not None else ())
+        for session in (recorded.sessions if recorded is not None else ())
         if (session.embodiment, session.action_type) == (motion.embodiment.name, motion.action_type)
         for question in session.questions
         if len(question.asked_at) == 1
     ]
-    if not asked:
+    if not first_questions:
         return None
     return max(
         _farthest(jumps(session.robot, session.state(question), session.chunk(question)[0], frequency))
-        for session, question in asked
+        for session, question in first_questions
     )

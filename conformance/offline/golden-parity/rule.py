@@ -81,64 +81,64 @@ def _findings(parity: Parity, compared: SessionComparison, *, explained: bool) -
 
 def _deviating(parity: Parity, compared: SessionComparison, *, explained: bool) -> Iterator[Finding]:
     judged = parity.judge(compared)
-    found = judged.deviation
-    if found is None:
+    deviation = judged.deviation
+    if deviation is None:
         return
     cause = None if explained else parity.cause(compared)
     questions = len(compared.session.questions)
     message = (
-        f"{found.part} differs from the reference ({compared.name}): by {found.share:.2g} of its range, "
-        f"{found.pairs} of {questions} pairs differ, first at step {found.step}"
+        f"{deviation.part} differs from the reference ({compared.name}): by {deviation.share:.2g} of its range, "
+        f"{deviation.pairs} of {questions} pairs differ, first at step {deviation.step}"
     )
     yield _blamed(
         message,
         cause,
-        expected=f"{found.part} = {found.golden:.6g} (reference.py)",
-        got=f"{found.answer:.6g} at step {found.step} of {found.question.where}",
+        expected=f"{deviation.part} = {deviation.golden:.6g} (reference.py)",
+        got=f"{deviation.answer:.6g} at step {deviation.step} of {deviation.question.where}",
         evidence={
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
-            "part": found.part,
-            "parts": format_parts(found.parts),
-            "environment": found.question.env,
-            "episode": found.question.episode,
-            "observation": len(found.question.recipes) - 1,
-            "step": found.step,
-            "golden": found.golden,
-            "given": found.answer,
-            "share": found.share,
-            "tolerance": found.allowed,
+            "part": deviation.part,
+            "parts": format_parts(deviation.parts),
+            "environment": deviation.question.env,
+            "episode": deviation.question.episode,
+            "observation": len(deviation.question.recipes) - 1,
+            "step": deviation.step,
+            "golden": deviation.golden,
+            "given": deviation.answer,
+            "share": deviation.share,
+            "tolerance": deviation.allowed,
             "pairs": questions,
-            "pairs_off": found.pairs,
+            "pairs_off": deviation.pairs,
         },
     )
 
 
 def _shifted(parity: Parity, compared: SessionComparison, *, explained: bool) -> Iterator[Finding]:
-    found = parity.shift(compared)
-    if found is None:
+    shift = parity.shift(compared)
+    if shift is None:
         return
     cause = None if explained else parity.cause(compared)
-    where = "over all" if found.step is None else f"at step {found.step} of question {found.question}"
+    where = "over all" if shift.step is None else f"at step {shift.step} of question {shift.question}"
     message = (
-        f"{found.part} has another distribution than the reference's ({compared.name}): its {found.statistic} is "
-        f"{found.sigmas:.0f} standard errors away over {compared.session.takes} samples"
+        f"{shift.part} has another distribution than the reference's ({compared.name}): its {shift.statistic} is "
+        f"{shift.sigmas:.0f} standard errors away over {compared.session.takes} samples"
     )
     yield _blamed(
         message,
         cause,
-        expected=f"{found.statistic} of {found.part} = {found.golden:.4g} (reference.py)",
-        got=f"{found.answer:.4g} {where}",
+        expected=f"{shift.statistic} of {shift.part} = {shift.golden:.4g} (reference.py)",
+        got=f"{shift.answer:.4g} {where}",
         evidence={
             "embodiment": compared.session.embodiment,
             spec.Deploy.ACTION_TYPE: compared.session.action_type,
-            "part": found.part,
-            "parts": format_parts(found.parts),
-            "what": found.statistic,
-            "golden": found.golden,
-            "given": found.answer,
-            "sigmas": found.sigmas,
-            "limit": found.limit,
+            "part": shift.part,
+            "parts": format_parts(shift.parts),
+            "what": shift.statistic,
+            "golden": shift.golden,
+            "given": shift.answer,
+            "sigmas": shift.sigmas,
+            "limit": shift.limit,
         },
     )
 
@@ -147,7 +147,7 @@ def _blamed(
     message: str, cause: ParitySearchResult | None, *, expected: str, got: str, evidence: dict[str, Any]
 ) -> Finding:
     explanation = None if cause is None else cause.explanation
-    told = "" if explanation is None else explanation.text
+    reason = "" if explanation is None else explanation.text
     advice = f"compare the authors' code with the adapter; `{names.CODE}` cites the lines"
     best = None if explanation is None else explanation.best
     if isinstance(best, Pattern):
@@ -173,7 +173,7 @@ def _blamed(
             "ties": [] if explanation is None else [tie.label.replace("`", "") for tie in explanation.ties],
         }
     finding = blame(
-        f"{message}; {told}" if told else message,
+        f"{message}; {reason}" if reason else message,
         expected=expected,
         got=got,
         evidence=evidence,

@@ -86,10 +86,10 @@ def _answers(probe: Probe, keys: Sequence[str], scene: int) -> list[Answer]:
     plain = {**probe.observation(scene), spec.Obs.ENV_IDX: 0}
     chunks = []
     with probe.session() as policy:
-        for place in range(len(_OPENINGS)):
+        for position in range(len(_OPENINGS)):
             obs = plain
             for number, key in enumerate(keys):
-                obs = with_gripper(obs, key, float(_OPENINGS[_ORDERS[number % 2][place]]))
+                obs = with_gripper(obs, key, float(_OPENINGS[_ORDERS[number % 2][position]]))
             chunks.append(policy.act(obs))
     if any(structure_problem(chunk, probe.embodiment, probe.action_type) for chunk in chunks):
         raise NotApplicable("some observed openings give no action")

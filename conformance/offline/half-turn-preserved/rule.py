@@ -48,9 +48,9 @@ def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]
         raise NotApplicable("neither actions nor required inputs are poses")
     robot, action_type = semantics.posed
     ordinary = turned(semantics.posed_observation(), ORDINARY)
-    shown = {what: turned(ordinary, quaternion) for what, quaternion in (HALF_TURNS | NEARLY).items()}
-    pairs = [((ordinary,), (obs,)) for obs in shown.values()]
-    chunks = dict(zip(shown, semantics.compare(pairs, semantics.posed), strict=True))
+    rotated = {what: turned(ordinary, quaternion) for what, quaternion in (HALF_TURNS | NEARLY).items()}
+    pairs = [((ordinary,), (obs,)) for obs in rotated.values()]
+    chunks = dict(zip(rotated, semantics.compare(pairs, semantics.posed), strict=True))
     plain = next(iter(chunks.values()))[0]
     embodiment = get_embodiment(robot)
     if structure_problem(plain, embodiment, action_type) is not None:
@@ -58,7 +58,7 @@ def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]
     for what, (_, chunk) in chunks.items():
         problem = structure_problem(chunk, embodiment, action_type)
         if problem is None and answers_poses(action_type):
-            problem = _lost(ordinary, plain, shown[what], chunk)
+            problem = _lost(ordinary, plain, rotated[what], chunk)
         if problem is not None:
             yield blame(
                 f"a half turn {what} is lost: the end effector would be turned over",
@@ -87,8 +87,8 @@ def _confused(plain: Answer, about: ObservationDict) -> Iterator[Finding]:
     names = list(about)
     alike = [
         (one, other)
-        for place, one in enumerate(names)
-        for other in names[place + 1 :]
+        for index, one in enumerate(names)
+        for other in names[index + 1 :]
         if rotation_difference(about[one], about[other]) is None
     ]
     if alike and not all(same(plain, chunk) for chunk in about.values()):

@@ -46,24 +46,24 @@ def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Find
         error = error_of(raw, read)
         expected = probe.answer(read) if error else plain
         ways = [("sent through the server", expected, probe.answer(sent))]
-        known, undecoded = in_process_run.image_answers[name]
+        decoded_answer, undecoded = in_process_run.image_answers[name]
         # To refuse is right: an adapter never decodes. One of the field knows no more than the older kind.
         is_known = name == LEGACY or bool(probe.package.manifest)
-        if is_known and probe.repeats_in_place and known.error is None and undecoded.error is None:
-            ways.append(("handed over undecoded", known.result, undecoded.result))
-        for way, wanted, answer in ways:
-            found = difference(wanted, answer)
-            if found is not None:
+        if is_known and probe.repeats_in_place and decoded_answer.error is None and undecoded.error is None:
+            ways.append(("handed over undecoded", decoded_answer.result, undecoded.result))
+        for way, reference, answer in ways:
+            mismatch = difference(reference, answer)
+            if mismatch is not None:
                 yield blame(
                     f"images as {name}, {way}, give other actions than the same images as arrays: colours "
                     "depend on the encoding",
                     expected=f"the actions for the decoded images, which the codec changed by at most {error} of 255",
-                    got=found,
+                    got=mismatch,
                     evidence={
                         "form": name,
                         "codec_error": error,
                         "raw": first_step(plain) if is_answer_list(plain) else None,
-                        "decoded": first_step(wanted) if is_answer_list(wanted) else None,
+                        "decoded": first_step(reference) if is_answer_list(reference) else None,
                         "encoded": first_step(answer) if is_answer_list(answer) else None,
                     },
                     fix=Fix("advice", "read images with xpl.observation.get_image, and decode nothing in the adapter"),

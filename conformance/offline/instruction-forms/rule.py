@@ -44,23 +44,23 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         "a string under `instructions`": {**rest, spec.Obs.INSTRUCTIONS: text},
         "a list under `instruction`": {**rest, spec.Obs.INSTRUCTION: [text]},
     }
-    wanted, *others = forms
+    main_form, *others = forms
     answers = dict(zip(forms, semantics.compare([((obs,), (form,)) for form in forms.values()]), strict=True))
-    found = semantics.disagreement(*answers[wanted])
-    if found is not None:
+    mismatch = semantics.disagreement(*answers[main_form])
+    if mismatch is not None:
         yield blame(
-            f"an observation with {wanted} is not read like one with `instruction`: the policy stops, or "
+            f"an observation with {main_form} is not read like one with `instruction`: the policy stops, or "
             "follows another instruction",
             expected="the action for the first of the list",
-            got=found,
+            got=mismatch,
             fix=_FIX,
         )
     for form in others:
         plain, answer = answers[form]
-        if error_code(answer) is None and (found := semantics.disagreement(plain, answer)) is not None:
+        if error_code(answer) is None and (mismatch := semantics.disagreement(plain, answer)) is not None:
             yield blame(
                 f"{form} is read as another instruction: the policy follows one that the user did not give",
                 expected="the action for the string, or an error",
-                got=found,
+                got=mismatch,
                 fix=_FIX,
             )

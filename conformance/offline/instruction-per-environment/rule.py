@@ -48,13 +48,13 @@ def instruction_per_environment(probe: Probe) -> Iterator[Finding]:
     if same(mixed, swapped) and same(mixed, equal):
         raise NotApplicable("the instruction does not change the actions")
     evidence = {"texts": [one, other], "environment_1": first_step(mixed[1])}
-    found = difference(mixed[1], swapped[1])
-    if found is not None:
+    mismatch = difference(mixed[1], swapped[1])
+    if mismatch is not None:
         yield blame(
             "environment 1 acts differently when only the instruction of environment 0 changes: it gets "
             "another robot's task",
             expected="the same actions, as long as its own instruction is the same",
-            got=found,
+            got=mismatch,
             evidence={**evidence, "environment_1_after": first_step(swapped[1])},
             fix=Fix("advice", "condition each environment on the instruction of its own observation"),
         )

@@ -47,10 +47,10 @@ def joint_limits(motions: MotionEpisodes) -> Iterator[Finding]:
         begun = [answer for answer in motion.sound if not answer.step]  # what goes on from there may have added up
         moves = max((farthest(robot, answer.obs[spec.Obs.STATE], answer.chunk) for answer in begun), default=0.0)
         within = list(_past(robot, motion.sound, 0.0))
-        found = within or list(_past(robot, motion.sound_near_limits, moves))
-        if found:
-            answer, index, excess = max(found, key=lambda entry: abs(entry[2].value - entry[2].limit))
-            joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in found))
+        excesses = within or list(_past(robot, motion.sound_near_limits, moves))
+        if excesses:
+            answer, index, excess = max(excesses, key=lambda entry: abs(entry[2].value - entry[2].limit))
+            joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in excesses))
             near = "" if within else " where they are near them"
             yield blame(
                 f"joints of {robot.name} are commanded beyond their limits{near} ({joints}): the robot would "

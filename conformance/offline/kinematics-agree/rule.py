@@ -38,19 +38,19 @@ def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """
     package = probe.package
     try:
-        found = sample_verdicts.judge_samples(package.manifest, [package.path])
+        verdicts = sample_verdicts.judge_samples(package.manifest, [package.path])
     except sample_verdicts.NotJudgeableError as error:
         raise NotApplicable(str(error)) from None
     except ConversionError as error:
         what = {"expected": "rows that match the block and the robot", "got": "other ones"}
         yield _finding(str(error), "mend model_io.samples", **what)
         return
-    if all(verdict.outcome == consistency.OPEN for verdict in found):
-        raise NotApplicable(f"kinematics cannot tell: {found[0].because}")
-    for verdict in found:
+    if all(verdict.outcome == consistency.OPEN for verdict in verdicts):
+        raise NotApplicable(f"kinematics cannot tell: {verdicts[0].because}")
+    for verdict in verdicts:
         if verdict.outcome in {consistency.DIFFERS, consistency.ANSWERS, consistency.UNEXPLAINED}:
             yield _of(verdict)
-    yield Proof({verdict.where: verdict.document() for verdict in found})
+    yield Proof({verdict.where: verdict.document() for verdict in verdicts})
 
 
 def _of(verdict: KinematicsVerdict) -> Finding:

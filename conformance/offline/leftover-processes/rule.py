@@ -38,9 +38,9 @@ def leftover_processes(service: ServiceRun) -> Iterator[Finding]:
             got=f"process group {member.group}",
             fix=Fix("advice", "start it without start_new_session and setsid"),
         )
-    known = {member.pid for member, _ in service.left_group}
+    group_pids = {member.pid for member, _ in service.left_group}
     for member in service.survivors:
-        if member.pid not in known:
+        if member.pid not in group_pids:
             yield blame(
                 f"process {member.name} is still running after the server has ended: it keeps memory and devices",
                 expected="no process of the adapter",

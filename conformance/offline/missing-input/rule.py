@@ -62,8 +62,8 @@ def _used(semantics: Semantics) -> list[str]:
     """Return the inputs that an adapter without a manifest evidently uses; many have a prompt of their own as well."""
     used = [
         change.input
-        for change, found in semantics.effects
-        if change.kind == "input" and change.input != spec.Obs.INSTRUCTION and found is not None
+        for change, effect in semantics.effects
+        if change.kind == "input" and change.input != spec.Obs.INSTRUCTION and effect is not None
     ]
     if not used:
         raise NotApplicable(f"no {spec.File.POLICY_YML} declares a required input, and none changes the action")

@@ -39,12 +39,12 @@ def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
         return
     for key in keys[:_MOST]:
         absent = configurations.without([key])
-        found = None if absent.refusal is not None else absent.difference(_null(configurations, [key]))
-        if found is not None:
+        mismatch = None if absent.refusal is not None else absent.difference(_null(configurations, [key]))
+        if mismatch is not None:
             yield blame(
                 f"{key}: null is not treated as missing: the default in the code does not apply",
                 expected="what the adapter does without the key",
-                got=found,
+                got=mismatch,
                 fix=Fix("advice", f'read it with self.setting("{key}", default)'),
             )
 

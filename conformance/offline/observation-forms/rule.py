@@ -43,13 +43,13 @@ def observation_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         forms["only what the manifest lists"] = only(obs, probe.package.manifest.read)
     answers = semantics.compare([((obs,), (form,)) for form in forms.values()])
     for what, pair in zip(forms, answers, strict=True):
-        found = semantics.disagreement(*pair)
-        if found is not None:
+        mismatch = semantics.disagreement(*pair)
+        if mismatch is not None:
             yield blame(
                 f"an observation with {what} gives other actions, although the schema allows it: the policy "
                 "works with some benchmarks only",
                 expected="the same action",
-                got=found,
+                got=mismatch,
                 fix=Fix("advice", "convert with np.asarray, read by name, and ignore keys that are not needed"),
             )
 

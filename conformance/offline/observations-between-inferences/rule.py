@@ -47,13 +47,13 @@ def observations_between_inferences(probe: Probe) -> Iterator[Finding]:
     """
     probe.require_answer()
     span = probe.package.manifest.reach
-    shown = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
-    first, *between, newest = shown
+    observations = [{**probe.observation(scene, scene), spec.Obs.ENV_IDX: 0} for scene in range(max(span, 2) + 1)]
+    first, *between, newest = observations
 
-    def second(*shown: ObservationDict) -> Answer:
+    def second(*observations: ObservationDict) -> Answer:
         with probe.run() as policy:
             policy.act(first)
-            for obs in shown:
+            for obs in observations:
                 policy.update_obs(obs)
             return policy.get_action()
 

@@ -53,13 +53,13 @@ def quaternion_sign(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     }
     answered = semantics.compare(list(pairs.values()), semantics.posed)
     for where, pair in zip(pairs, answered, strict=True):
-        found = rotation_difference(*pair)
-        if found is not None:
+        mismatch = rotation_difference(*pair)
+        if mismatch is not None:
             yield blame(
                 f"quaternions that change their sign {where} change the motion, although the model_io block "
                 "declares that the model gets one sign",
                 expected="the same action, up to the sign of its quaternions",
-                got=found,
+                got=mismatch,
                 fix=Fix("advice", "convert to the block's sign in encode, or correct the block"),
             )
             return
@@ -78,9 +78,9 @@ def _require_a_sign(package: Package) -> None:
         raise NotApplicable(
             "it is not declared how the model was trained on q and -q: no model_io block, no golden pairs"
         )
-    told = [part for entry in model_io.state for part in entry["parts"]]
+    state_parts = [part for entry in model_io.state for part in entry["parts"]]
     as_they_come = sign_sensitive_rotations(model_io)
     if as_they_come:
         raise NotApplicable(f"the model gets unchanged signs ({', '.join(as_they_come)}), and may distinguish them")
-    if model_io.code and not any("rotation" in part for part in told):
+    if model_io.code and not any("rotation" in part for part in state_parts):
         raise NotApplicable("the model_io block leaves conversions to code, and does not declare their sign")

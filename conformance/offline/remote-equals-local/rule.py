@@ -56,12 +56,12 @@ def remote_equals_local(probe: Probe) -> Iterator[Finding]:
         served = [_played(probe, server.url, wishes, script) for wishes in _WAYS.values()]
     # As often as on the server, whose random numbers go on from episode to episode.
     alone = inprocess.answers(probe, script * len(_WAYS))
-    for place, (way, remote) in enumerate(zip(_WAYS, served, strict=True)):
-        local = alone[place * len(script) : (place + 1) * len(script)]
-        found = next(((at, one) for at, one in enumerate(map(_apart, remote, local)) if one is not None), None)
-        if found is not None:
+    for number, (way, remote) in enumerate(zip(_WAYS, served, strict=True)):
+        local = alone[number * len(script) : (number + 1) * len(script)]
+        first_mismatch = next(((at, one) for at, one in enumerate(map(_apart, remote, local)) if one is not None), None)
+        if first_mismatch is not None:
             _require_repeatable(alone, inprocess.answers(probe, script * len(_WAYS)))
-            yield _finding(script, way, *found)
+            yield _finding(script, way, *first_mismatch)
             return
 
 
@@ -103,18 +103,18 @@ def _require_repeatable(first: list[inprocess.Answer], second: list[inprocess.An
         raise NotApplicable("the model does not repeat itself bit for bit in another process")
 
 
-def _finding(script: list[inprocess.Call], way: str, at: int, found: Mismatch) -> Finding:
+def _finding(script: list[inprocess.Call], way: str, at: int, deviation: Mismatch) -> Finding:
     method, arguments = script[at]
     batch, call = divmod(at, len(script) // 2)
     when = f"step {(call - 1) // 2} of the {'batch' if batch else 'single'} episode"
-    asked = f"{method}({', '.join(map(str, arguments)) if method in _ASKING else ''})"
-    place = "".join(f"[{part!r}]" for part in found.path) or "the whole answer"
-    apart = "" if found.size is None else f" (apart by {found.size:.3g})"
+    call_text = f"{method}({', '.join(map(str, arguments)) if method in _ASKING else ''})"
+    where = "".join(f"[{part!r}]" for part in deviation.path) or "the whole answer"
+    apart = "" if deviation.size is None else f" (apart by {deviation.size:.3g})"
     return blame(
-        f"served, the adapter's result of {asked} differs from that of the same model in one process: what was "
+        f"served, the adapter's result of {call_text} differs from that of the same model in one process: what was "
         "measured there is not what a robot gets",
-        expected=f"{found.second} at {place}, as in one process",
-        got=f"{found.first}{apart}, at {when}, sent {way}",
+        expected=f"{deviation.second} at {where}, as in one process",
+        got=f"{deviation.first}{apart}, at {when}, sent {way}",
         fix=Fix(
             "advice",
             "compute actions from the observation's values alone: arrays from the wire are read-only, so write "

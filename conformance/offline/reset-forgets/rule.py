@@ -43,14 +43,14 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
         for what, play in list(_BEFORE.items())[: None if probe.repeats_in_place else 1]:
             play(probe, policy)
             for step, pair in enumerate(zip(expected, probe.episode(policy, env=1), strict=True)):
-                found = difference(*pair)
-                if found is not None:
+                mismatch = difference(*pair)
+                if mismatch is not None:
                     probe.require_repeatable_afresh()
                     yield blame(
                         f"an episode depends on the previous one, {what}: state survives reset, and results "
                         "depend on the order of episodes",
                         expected="the actions of the same episode after one of another scene in another environment",
-                        got=found,
+                        got=mismatch,
                         evidence={
                             "episode_before": what,
                             "step": step,

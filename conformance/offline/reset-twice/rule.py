@@ -43,13 +43,13 @@ def reset_twice(probe: Probe) -> Iterator[Finding]:
         if error_code(answer) is not None:
             yield blame(f"{which} reset raises an error", expected="no error", got=brief(answer))
             return
-    found = difference(once, twice)
-    if found is not None:
+    mismatch = difference(once, twice)
+    if mismatch is not None:
         probe.require_repeatable_afresh()
         yield blame(
             "resetting twice gives other actions than resetting once: results of clients that reset twice "
             "cannot be compared with others",
             expected="the same actions",
-            got=found,
+            got=mismatch,
             fix=Fix("advice", "advance episode counters when an observation arrives, not in reset"),
         )

@@ -33,12 +33,12 @@ def seed_repeats(configurations: Configurations) -> Iterator[Finding]:
     configurations.probe.require_deterministic()
     for seed in (0, 7):
         first, second = (configurations.with_seed(seed, run) for run in range(2))
-        found = first.difference(second)
-        if found is not None:
+        mismatch = first.difference(second)
+        if mismatch is not None:
             yield blame(
                 f"two servers with seed {seed} act differently: a run cannot be repeated",
                 expected="the same actions",
-                got=found,
+                got=mismatch,
                 fix=Fix("advice", "draw every random number from self.rng(env), or declare deterministic: false"),
             )
             return

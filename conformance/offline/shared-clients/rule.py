@@ -76,9 +76,9 @@ def shared_clients(probe: Probe) -> Iterator[Finding]:
     last: dict[int, _Turn] = {}
     for client, beside in turns:
         undisturbed = next(expected[client])
-        found = difference(undisturbed.answer, beside.answer)
-        if found is not None:
-            yield _finding(client, undisturbed, beside, found, last.get(1 - client))
+        mismatch = difference(undisturbed.answer, beside.answer)
+        if mismatch is not None:
+            yield _finding(client, undisturbed, beside, mismatch, last.get(1 - client))
             return
         last[client] = beside
 
@@ -102,24 +102,24 @@ def _in_turns(first: Iterator[_Turn], second: Iterator[_Turn]) -> Iterator[tuple
         yield from ((client, turn) for client, turn in enumerate(pair) if turn is not None)
 
 
-def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn | None) -> Finding:
-    place = 0
+def _finding(client: int, alone: _Turn, beside: _Turn, mismatch: str, other: _Turn | None) -> Finding:
+    index = 0
     if is_answer_list(alone.answer) and is_answer_list(beside.answer, len(alone.answer)):
-        place = next(at for at, pair in enumerate(zip(alone.answer, beside.answer, strict=True)) if not same(*pair))
+        index = next(at for at, pair in enumerate(zip(alone.answer, beside.answer, strict=True)) if not same(*pair))
     return blame(
         f"{beside.method} returns other actions to a client together with another one than alone, from step "
         f"{beside.step} of its episode {beside.episode} on: clients share more than the model, and results "
         "depend on which other clients are served",
         expected="the action of this client alone on the server",
-        got=found,
+        got=mismatch,
         evidence={
             "client": client,
-            "environment": _ENVS[client][place],
+            "environment": _ENVS[client][index],
             "episode": beside.episode,
             "step": beside.step,
             "other_client_before": None if other is None else str(other),
-            "alone": _shown(alone.answer, place),
-            "beside": _shown(beside.answer, place),
+            "alone": _shown(alone.answer, index),
+            "beside": _shown(beside.answer, index),
         },
         fix=Fix(
             "advice", "store state in dicts by environment, and clear in reset_envs only the environments it names"
@@ -127,7 +127,7 @@ def _finding(client: int, alone: _Turn, beside: _Turn, found: str, other: _Turn 
     )
 
 
-def _shown(answer: Answer, place: int) -> Answer:
+def _shown(answer: Answer, index: int) -> Answer:
     if is_answer_list(answer):
-        return first_step(answer[place])
+        return first_step(answer[index])
     return str(answer) if isinstance(answer, PolicyServerError) else brief(answer)

@@ -33,14 +33,14 @@ def step_size(motions: MotionEpisodes) -> Iterator[Finding]:
     No automatic fix.
     """
     for motion in motions.sound:
-        found = [
+        excesses = [
             (answer, index, excess)
             for answer in motion.sound
             for index, (before, after) in enumerate(pairwise(answer.chunk))
             for excess in jumps(motion.embodiment, before, after, motions.frequency)
         ]
-        if found:
-            answer, index, excess = max(found, key=lambda entry: entry[2].value / entry[2].limit)
+        if excesses:
+            answer, index, excess = max(excesses, key=lambda entry: entry[2].value / entry[2].limit)
             yield blame(
                 f"{motion.action_type} chunks for {motion.embodiment.name} jump from one action to the next: at "
                 f"{motions.frequency:g} Hz the robot cannot follow ({excess.what})",

@@ -74,13 +74,13 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
 
 def _trial(probe: Probe, policy: RecordedClient, case: Config) -> tuple[tuple[str, Answer] | None, list[Answer]]:
     """Play a trial; return the hook that raised with its answer, if one did, and the chunks of the episode."""
-    told = policy.prepare_case(case)
-    if error_code(told) is not None:
-        return (sdk.Message.PREPARE_CASE, told), []
+    reply = policy.prepare_case(case)
+    if error_code(reply) is not None:
+        return (sdk.Message.PREPARE_CASE, reply), []
     chunks = probe.episode(policy, env=1)
-    told = policy.trial_end(RESULT)
-    if error_code(told) is not None:
-        return (sdk.Message.TRIAL_END, told), chunks
+    reply = policy.trial_end(RESULT)
+    if error_code(reply) is not None:
+        return (sdk.Message.TRIAL_END, reply), chunks
     return None, chunks
 
 
@@ -96,8 +96,8 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
         )
         return
     for step, pair in enumerate(zip(first, second, strict=True)):
-        found = difference(*pair)
-        if found is None:
+        mismatch = difference(*pair)
+        if mismatch is None:
             continue
         if all(error_code(chunk) is None for chunk in pair):
             probe.require_deterministic()
@@ -106,7 +106,7 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
         yield blame(
             f"the second of two equal trials differs from step {step} on: state that a hook left survives reset",
             expected="the actions of the first trial",
-            got=found,
+            got=mismatch,
             evidence={
                 "step": step,
                 "first_and_second": [first_step(chunk) if is_answer_list(chunk) else brief(chunk) for chunk in pair],

@@ -34,18 +34,18 @@ def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """
     required = probe.named_inputs()
     declared = probe.package.manifest.inputs or Inputs()
-    for change, found in semantics.effects:
+    for change, effect in semantics.effects:
         name = change.input
-        if change.kind != "input" or found is None or name in required or name in declared.optional:
+        if change.kind != "input" or effect is None or name in required or name in declared.optional:
             continue
-        told = "declares it unused" if name in declared.unused else "does not name it"
+        declaration = "declares it unused" if name in declared.unused else "does not name it"
         yield Finding(
             message=(
-                f"the action depends on {name}, but the manifest {told}: comparisons treat it as a policy without "
-                "this input"
+                f"the action depends on {name}, but the manifest {declaration}: comparisons treat it as a policy "
+                "without this input"
             ),
             path=spec.File.POLICY_YML,
             expected=f"{name} under inputs.required or inputs.optional, or actions that do not depend on it",
-            got=f"with {change.what}: {found}",
+            got=f"with {change.what}: {effect}",
             fix=Fix("advice", f"declare {name} in policy.yml, or stop reading it"),
         )

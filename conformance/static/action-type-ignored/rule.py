@@ -108,23 +108,23 @@ def _idle(functions: list[Function]) -> set[int]:
         for node in function.of(ast.Attribute)
         if isinstance(node.ctx, ast.Load) and not is_reported(node, function)
     }
-    found: set[int] = set()
+    node_ids: set[int] = set()
     for function in functions:
         for node in function.of(ast.Assign, ast.AnnAssign):
             stored = [target.attr for target in targets(node) if isinstance(target, ast.Attribute)]
             if stored and not read.intersection(stored) and _KEY in texts(node) | set(stored):
-                found |= {id(child) for child in ast.walk(node)}
-        found |= {
+                node_ids |= {id(child) for child in ast.walk(node)}
+        node_ids |= {
             id(mention)
             for mention in function.of(ast.Attribute)
             if mention.attr == _KEY and is_reported(mention, function)
         }
-    return found
+    return node_ids
 
 
 def _written(adapter: ModelClass) -> tuple[Function, ast.AST, str] | None:
     """Return where the acting methods write action keys of one type only."""
-    found: dict[str, tuple[Function, ast.AST]] = {}
+    first_by_type: dict[str, tuple[Function, ast.AST]] = {}
     for function in adapter.reach(*ACTING):
         for node in function.of(ast.Dict, ast.Subscript):
             keys: list[ast.expr | None] = []
@@ -135,8 +135,8 @@ def _written(adapter: ModelClass) -> tuple[Function, ast.AST, str] | None:
             for key in keys:
                 for suffix, kind in _SUFFIXES.items():
                     if key is not None and any(text.endswith(suffix) for text in texts(key)):
-                        found.setdefault(kind, (function, key))
-    if len(found) != 1:
+                        first_by_type.setdefault(kind, (function, key))
+    if len(first_by_type) != 1:
         return None
-    kind, (function, first) = next(iter(found.items()))
+    kind, (function, first) = next(iter(first_by_type.items()))
     return function, first, kind

@@ -41,14 +41,14 @@ def arm_keys(source: Source) -> Iterator[Finding]:
     """
     adapter = ModelClass.of(source)
     functions = adapter.reach(*ACTING)
-    found = [(function, written) for function in functions if (written := _written(function)) is not None]
-    if not found or any(map(_writes_plain, functions)) or _refuses(adapter):
+    writes = [(function, written) for function in functions if (written := _written(function)) is not None]
+    if not writes or any(map(_writes_plain, functions)) or _refuses(adapter):
         return
-    for function, written in found:
+    for function, written in writes:
         if _serves_one(function):
-            key, shown = written
+            key, key_text = written
             yield Finding(
-                f"the only arm of a one-armed robot gets {shown}: the environment refuses it, or moves nothing",
+                f"the only arm of a one-armed robot gets {key_text}: the environment refuses it, or moves nothing",
                 **source.at(function.file, key),
                 expected="keys without a prefix for a robot with one arm",
                 got=ast.unparse(key),

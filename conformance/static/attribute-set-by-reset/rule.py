@@ -76,9 +76,9 @@ def _defaults(
     """Yield a default that reset gives a part of the model where it lacks one, and that acting reads."""
     before = {dotted(target) for function in loading for node in function.of(ast.Assign) for target in targets(node)}
     reads = {node.attr for function in acting for node in function.of(ast.Attribute) if isinstance(node.ctx, ast.Load)}
-    known = {id(function.node) for function in (*loading, *acting) if function.name not in RESETTING}
+    not_resetting = {id(function.node) for function in (*loading, *acting) if function.name not in RESETTING}
     for function in resetting:
-        if id(function.node) in known:
+        if id(function.node) in not_resetting:
             continue
         for branch in function.of(ast.If):
             missing = _lacking(branch.test)
@@ -132,12 +132,12 @@ def _asked(adapter: ModelClass) -> set[str]:
 
 def _needed(functions: list[Function]) -> dict[str, tuple[Function, ast.AST]]:
     """Return the attributes that are read before the same function sets them."""
-    found: dict[str, tuple[Function, ast.AST]] = {}
+    reads: dict[str, tuple[Function, ast.AST]] = {}
     for function in functions:
         own = {write.attribute: write.line for write in function.writes if write.kind == "assigned"}
         for node in function.of(ast.Attribute):
             if isinstance(node.ctx, ast.Load) and self_attribute(node) == node.attr:
                 guarded = any(isinstance(outer, ast.Try) for outer in enclosing(node, function.up))
                 if not guarded and node.lineno < own.get(node.attr, node.lineno + 1):
-                    found.setdefault(node.attr, (function, node))
-    return found
+                    reads.setdefault(node.attr, (function, node))
+    return reads

@@ -57,9 +57,9 @@ def _fix(source: Source, name: str, handler: ast.ExceptHandler, *, imports: bool
     if handler.type is not None:
         edit = Edit(**source.at(name, handler.type), text=meant)
     else:
-        place = source.start(name, handler)
-        column = place["column"] + len("except")
-        edit = Edit(name, place["line"], column, place["line"], column, f" {meant}")
+        location = source.start(name, handler)
+        column = location["column"] + len("except")
+        edit = Edit(name, location["line"], column, location["line"], column, f" {meant}")
     return Fix("unsafe_edit" if imports else "safe_edit", f"except {meant}:", (edit,))
 
 

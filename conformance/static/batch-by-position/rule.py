@@ -39,16 +39,16 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
     function = ModelClass.of(source).method(ACT_BATCH)
     if function is None or not _acts(function):
         return
-    given = parameters(function.node)
-    if not given:
+    parameter_names = parameters(function.node)
+    if not parameter_names:
         return
-    verdict = _judged(function, given[0])
+    verdict = _judged(function, parameter_names[0])
     if verdict is not None:
         message, node = verdict
         yield Finding(
             message,
             **source.at(function.file, node),
-            expected=f"each entry of {given[0]} selects an observation",
+            expected=f"each entry of {parameter_names[0]} selects an observation",
             got=ast.unparse(node).split("\n")[0],
             fix=_FIX,
         )

@@ -90,17 +90,17 @@ def _written(function: Function) -> Iterator[tuple[ast.Call, ast.expr]]:
                 if path is not None:
                     yield node, path
         elif last(name) in _WRITES and owner is not None:
-            place = _WRITES[last(name)]
-            if place is None and name.partition(".")[0] not in _LIBRARIES and last(name) != "replace":
+            path_index = _WRITES[last(name)]
+            if path_index is None and name.partition(".")[0] not in _LIBRARIES and last(name) != "replace":
                 yield node, owner
-            elif place is not None and name.partition(".")[0] in _LIBRARIES and len(node.args) > place:
-                yield node, node.args[place]
+            elif path_index is not None and name.partition(".")[0] in _LIBRARIES and len(node.args) > path_index:
+                yield node, node.args[path_index]
 
 
 def _root(function: Function, path: ast.expr) -> str | None:
     """Return the name of a checkpoint that a path is made of, through the names of the function."""
     made = assigned(function.nodes)
-    waiting, seen = [path], set()
+    waiting, visited = [path], set()
     while waiting:
         value = waiting.pop()
         for node in ast.walk(value):
@@ -109,6 +109,6 @@ def _root(function: Function, path: ast.expr) -> str | None:
                 return None
             if _CHECKPOINT.search(name) and not isinstance(getattr(node, "ctx", None), ast.Store):
                 return name
-        waiting += [made[name] for name in names(value) if name in made and name not in seen]
-        seen |= names(value)
+        waiting += [made[name] for name in names(value) if name in made and name not in visited]
+        visited |= names(value)
     return None

@@ -54,10 +54,15 @@ def _fix(source: Source, function: Function, call: ast.Call, loop: ast.For | ast
     """Return the check after the action, as an edit where it is certain where that belongs."""
     environment = dotted(call.func).rpartition(".")[0] or "TASK_ENV"
     text = f"if {environment}.is_episode_end(): break"
-    place = next((entry for entry in loop.body if isinstance(entry, ast.Expr) and entry.value is call), None)
-    if place is None or not isinstance(loop, ast.For) or loop.orelse or called(call) != f"{environment}.{EXECUTES[0]}":
+    statement = next((entry for entry in loop.body if isinstance(entry, ast.Expr) and entry.value is call), None)
+    if (
+        statement is None
+        or not isinstance(loop, ast.For)
+        or loop.orelse
+        or called(call) != f"{environment}.{EXECUTES[0]}"
+    ):
         return Fix("advice", text)
-    at = source.at(function.file, place)
+    at = source.at(function.file, statement)
     lines = source.text(function.file).split("\n")
     before = lines[at["line"] - 1][: at["column"] - 1]
     last_line = lines[at["end_line"] - 1]
@@ -72,17 +77,17 @@ def _ends(loop: ast.For | ast.While, function: Function) -> bool:
     """Tell whether a loop asks for the end of the episode and leaves."""
     if isinstance(loop, ast.While) and any(environment_calls(loop.test, function, ENDS)):
         return True
-    told: set[str] = set()  # names that hold what was asked
+    end_flags: set[str] = set()  # names that hold whether the episode has ended
     for node in ast.walk(loop):
         if isinstance(node, ast.Assign) and (
-            any(environment_calls(node.value, function, ENDS)) or names(node.value) & told
+            any(environment_calls(node.value, function, ENDS)) or names(node.value) & end_flags
         ):
-            told |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
+            end_flags |= {target.id for target in targets(node) if isinstance(target, ast.Name)}
     for node in ast.walk(loop):
         if isinstance(node, ast.If):
-            asks = any(environment_calls(node.test, function, ENDS)) or bool(names(node.test) & told)
+            asks = any(environment_calls(node.test, function, ENDS)) or bool(names(node.test) & end_flags)
             if asks and (leaves(node.body) or leaves(node.orelse)):
                 return True
             if asks and any(called(child) in {f"{name}" for name in EXECUTES} for child in ast.walk(node)):
                 return True
-    return isinstance(loop, ast.While) and bool(names(loop.test) & told)
+    return isinstance(loop, ast.While) and bool(names(loop.test) & end_flags)

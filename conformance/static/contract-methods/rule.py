@@ -37,25 +37,25 @@ def contract_methods(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     name = sdk.File.MODEL_PY
-    wanted = source.manifest.model_class
+    class_name = source.manifest.model_class
     tree = source.tree(name)
     try:
         adapter = ModelClass.of(source)
     except NotRun:
         yield Finding(
-            f"{name} has no class {wanted}: the server has nothing to construct",
+            f"{name} has no class {class_name}: the server has nothing to construct",
             path=name,
             line=1,
             column=1,
-            expected=f"class {wanted}",
+            expected=f"class {class_name}",
             got=", ".join(node.name for node in tree.body if isinstance(node, ast.ClassDef)) or "no class",
-            fix=Fix("advice", f"define class {wanted}, or import it under that name"),
+            fix=Fix("advice", f"define class {class_name}, or import it under that name"),
         )
         return
     missing = [method for method in sdk.CONTRACT_METHODS if adapter.is_closed and not adapter.has(method)]
     if missing:
         yield Finding(
-            f"{wanted} lacks {' and '.join(missing)}: {_CONSEQUENCE}",
+            f"{class_name} lacks {' and '.join(missing)}: {_CONSEQUENCE}",
             **source.start(adapter.file, adapter.node),
             expected=", ".join(sdk.CONTRACT_METHODS),
             got=", ".join(sorted(adapter.methods)),

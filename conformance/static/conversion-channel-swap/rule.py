@@ -41,24 +41,24 @@ def conversion_channel_swap(source: Source) -> Iterator[Finding]:
         raise NotApplicable("the adapter converts no data")
     for name in (*source.conversion_files, *readers):
         for function in source.functions(name):
-            found = [
+            swaps = [
                 swap for swap in channel_swaps(function) if swap.decoded or (swap.claims_bgr and name not in readers)
             ]
-            if found:
+            if swaps:
                 yield Finding(
                     f"{function.name} trains the policy on red and blue swapped: in evaluation it gets RGB",
-                    **source.at(name, found[0].node),
+                    **source.at(name, swaps[0].node),
                     expected="the order that evaluation uses, RGB",
-                    got=ast.unparse(found[0].node),
+                    got=ast.unparse(swaps[0].node),
                     fix=Fix("advice", "delete the swap and convert the data again"),
                 )
 
 
 def _readers(source: Source) -> tuple[str, ...]:
     """Return files of vendored trees that decode the ecosystem's frames: what the adapter's author put there."""
-    known = set(source.conversion_files)
+    conversion_files = set(source.conversion_files)
     return tuple(
         name
         for name, text in vendored.texts(source)
-        if name.endswith(".py") and "decode_image" in text and _IMPORTED.search(text) and name not in known
+        if name.endswith(".py") and "decode_image" in text and _IMPORTED.search(text) and name not in conversion_files
     )

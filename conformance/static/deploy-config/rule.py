@@ -33,14 +33,14 @@ def deploy_config(source: Source) -> Iterator[Finding]:
     name = sdk.File.DEPLOY_YML
     values = source.yaml(name)
     yield from schema_findings(source, name, "deploy", "launchers cannot rely on {}")
-    given = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
-    if isinstance(given, str) and given != source.path.name:
+    policy_name = values.get(sdk.Deploy.POLICY_NAME) if isinstance(values, dict) else None
+    if isinstance(policy_name, str) and policy_name != source.path.name:
         yield Finding(
-            f"launchers load the policy {given}, but this is {source.path.name}",
+            f"launchers load the policy {policy_name}, but this is {source.path.name}",
             path=name,
             line=key_line(source, name, sdk.Deploy.POLICY_NAME),
             column=1,
             expected=source.path.name,
-            got=given,
+            got=policy_name,
             fix=rename_fix(source, name, sdk.Deploy.POLICY_NAME),
         )

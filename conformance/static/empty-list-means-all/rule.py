@@ -35,10 +35,10 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
     changes the answer to `[]` only. The author has to fix code that raises an error for an empty list.
     """
     function = ModelClass.of(source).method(ACT_BATCH)
-    given = parameters(function.node) if function is not None else []
-    if function is None or not given:
+    parameter_names = parameters(function.node) if function is not None else []
+    if function is None or not parameter_names:
         return
-    name = given[0]
+    name = parameter_names[0]
     for node in function.nodes:
         if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or) and _is(node.values[0], name):
             default = " or ".join(ast.unparse(value) for value in node.values[1:])

@@ -37,15 +37,15 @@ def empty_scripts(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    found = scripts.empty_scripts(source)
+    empty = scripts.empty_scripts(source)
     marker = f"{spec.data('package')['placeholder']}:"
-    if any(entry.by_xpl for entry in found) and any(marker in source.text(name) for name in source.text_files):
-        found = [entry for entry in found if not entry.by_xpl]
-        if not found:
+    if any(entry.by_xpl for entry in empty) and any(marker in source.text(name) for name in source.text_files):
+        empty = [entry for entry in empty if not entry.by_xpl]
+        if not empty:
             raise NotApplicable(
                 "placeholders of the template remain; the rule placeholders lists these scripts with them"
             )
-    for entry in found:
+    for entry in empty:
         at = {"path": entry.script} if entry.word is None else word_location(entry.script, entry.word)
         if not entry.runs:
             message, got = f"{entry.script} only prints", "no command that does the work"
@@ -56,11 +56,11 @@ def empty_scripts(source: Source) -> Iterator[Finding]:
             )
         else:
             message, got = f"{entry.script} runs {entry.runs}, which does not exist", f"no file {entry.runs}"
-        wanted = entry.runs or next(name for name in RUN_BY_XPL.values() if name[:5] == entry.script[:5])
+        run_file = entry.runs or next(name for name in RUN_BY_XPL.values() if name[:5] == entry.script[:5])
         yield Finding(
             f"{message}: users cannot reproduce the training that the package seems to provide",
             **at,
             expected="a program that does the work, or evaluation_only: true in policy.yml",
             got=got,
-            fix=Fix("advice", f"write {wanted}, or declare evaluation_only: true and delete {entry.script}"),
+            fix=Fix("advice", f"write {run_file}, or declare evaluation_only: true and delete {entry.script}"),
         )

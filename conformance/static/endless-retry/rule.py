@@ -55,8 +55,8 @@ def _endless(function: Function) -> Iterator[ast.If]:
         if isinstance(target, ast.Name)
     }
     for loop in function.of(ast.While):
-        for place, node in enumerate(loop.body):
+        for index, node in enumerate(loop.body):
             if isinstance(node, ast.If) and isinstance(node.body[-1], ast.Continue) and names(node.test) & answers:
-                before = [*loop.body[:place], *node.body]
+                before = [*loop.body[:index], *node.body]
                 if not any(next(environment_calls(entry, function, EXECUTES), None) for entry in before):
                     yield node

@@ -34,7 +34,7 @@ def evaluation_loop(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     name = sdk.File.DEPLOY_PY
-    found = {function.name: function for function in loops(source)}
+    functions = {function.name: function for function in loops(source)}
     body = source.tree(name).body
     stars = [node for node in body if isinstance(node, ast.ImportFrom)]
     elsewhere = {alias.asname or alias.name for node in stars for alias in node.names}
@@ -47,7 +47,7 @@ def evaluation_loop(source: Source) -> Iterator[Finding]:
         if isinstance(entry, ast.Name)
     }
     for function_name in function_names():
-        function = found.get(function_name)
+        function = functions.get(function_name)
         if function is None:
             if function_name not in elsewhere | assigned and "*" not in elsewhere:
                 yield Finding(
@@ -60,11 +60,11 @@ def evaluation_loop(source: Source) -> Iterator[Finding]:
                     fix=Fix("advice", "copy it from a fresh `xpl new-policy` scaffold"),
                 )
             continue
-        given = parameters(function.node)
+        accepted = parameters(function.node)
         optional = len(function.node.args.defaults)
-        if not len(given) - optional <= len(takes) <= len(given) and function.node.args.vararg is None:
+        if not len(accepted) - optional <= len(takes) <= len(accepted) and function.node.args.vararg is None:
             yield Finding(
-                f"{function_name} takes {len(given)} arguments, and benchmarks call it with {len(takes)}: TypeError",
+                f"{function_name} takes {len(accepted)} arguments, and benchmarks call it with {len(takes)}: TypeError",
                 **source.start(function.file, function.node),
                 expected=f"def {function_name}({', '.join(takes)})",
                 got=f"def {function_name}({ast.unparse(function.node.args)})",

@@ -81,8 +81,8 @@ def _is_end(node: ast.Subscript) -> bool:
 def _is_ordered(function: Function, names: set[str]) -> bool:
     """Tell whether a list is sorted, or its length looked at: then it may hold one entry only."""
     for call in function.of(ast.Call):
-        given = {getattr(entry, "id", "") for entry in call.args}
-        if last(called(call)) in {"sorted", "max", "min", "natsorted", "len"} and given & names:
+        argument_names = {getattr(entry, "id", "") for entry in call.args}
+        if last(called(call)) in {"sorted", "max", "min", "natsorted", "len"} and argument_names & names:
             return True
         if (
             isinstance(call.func, ast.Attribute)

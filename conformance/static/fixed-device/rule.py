@@ -43,10 +43,11 @@ def fixed_device(source: Source) -> Iterator[Finding]:
         if "cuda" not in source.text(function.file).lower():
             continue
         for node in function.of(ast.Call, ast.Assign):
-            found = _fixed(node)
-            if found and not _is_chosen(node, function):
+            device_text = _fixed(node)
+            if device_text and not _is_chosen(node, function):
                 yield Finding(
-                    f"{found}: a setting of the device has no effect, and servers on one machine share one device",
+                    f"{device_text}: a setting of the device has no effect, and servers on one machine share one "
+                    "device",
                     **source.at(function.file, node),
                     expected="a device from the configuration",
                     got=ast.unparse(node).split("\n")[0][:80],

@@ -31,7 +31,7 @@ def _layouts() -> list[tuple[str, frozenset[int], int]]:
 
     Arms of fewer joints than a pose has coordinates are left out: their vectors are as long as poses.
     """
-    found = []
+    layouts = []
     for robot in shipped.entries().values():
         if robot["arm"]["dof"] < _COORDINATES:
             continue
@@ -40,8 +40,8 @@ def _layouts() -> list[tuple[str, frozenset[int], int]]:
         grouped = [pair[0] for pair in sizes] + [pair[1] for pair in sizes]
         bounds = {0, *accumulate(packed), *accumulate(grouped)}
         arms = f"{len(sizes)} arm{'s' * (len(sizes) > 1)} of {sizes[0][0]} joints"
-        found.append((arms, frozenset(bounds), sum(packed)))
-    return found
+        layouts.append((arms, frozenset(bounds), sum(packed)))
+    return layouts
 
 
 @rule(code="XPL125", requirement="XPL-ACT-6")
@@ -66,12 +66,12 @@ def fixed_dimensions(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    seen: set[tuple[str, int]] = set()
+    reported: set[tuple[str, int]] = set()
     for function in ModelClass.of(source).reach(*ModelClass.of(source).methods):
         for node, message in (*_cut_values(function), *_layout(function)):
-            place = (function.file, id(function.node))
-            if place not in seen and not _is_guarded(node, function):
-                seen.add(place)
+            function_key = (function.file, id(function.node))
+            if function_key not in reported and not _is_guarded(node, function):
+                reported.add(function_key)
                 yield _finding(source, function.file, node, message)
 
 
@@ -168,12 +168,12 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
         for node in ast.walk(statement):
             if isinstance(node, ast.Subscript) and isinstance(node.ctx, ast.Load) and _bounds(node) is not None:
                 cuts.setdefault(ast.unparse(node.value), []).append(node)
-        for found in cuts.values():
-            edges = {edge for node in found for edge in _bounds(node) or () if edge is not None}
+        for slices in cuts.values():
+            edges = {edge for node in slices for edge in _bounds(node) or () if edge is not None}
             for name, bounds, length in _layouts():
-                if len(found) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
+                if len(slices) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
                     yield (
-                        found[0],
+                        slices[0],
                         f"vectors are split as those of {name}: another robot's joints get each other's values",
                     )
                     break

@@ -38,8 +38,8 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
     for name in source.text_files:
         if name.endswith(".sh") and "/" not in name:
             commands = source.commands(name)
-            for place, command in enumerate(commands):
-                if any(before.name in {"kill", "pkill", "killall"} for before in commands[max(place - 2, 0) : place]):
+            for index, command in enumerate(commands):
+                if any(before.name in {"kill", "pkill", "killall"} for before in commands[max(index - 2, 0) : index]):
                     continue  # time for a process to end
                 if command.name == "sleep" and not command.loops and len(command.arguments) > 1:
                     duration = command.arguments[1]

@@ -32,12 +32,12 @@ def flag_from_text(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: the rule does not know which other values may arrive.
     """
-    found: dict[str, list[tuple[ConfigRead, ast.Call]]] = {}
+    by_file: dict[str, list[tuple[ConfigRead, ast.Call]]] = {}
     for setting in ModelClass.of(source).settings:
         call = setting.function.up.get(setting.read.node)
         if isinstance(call, ast.Call) and called(call) == "bool" and call.args == [setting.read.node]:
-            found.setdefault(setting.function.file, []).append((setting, call))
-    for file, uses in found.items():
+            by_file.setdefault(setting.function.file, []).append((setting, call))
+    for file, uses in by_file.items():
         setting, call = uses[0]
         keys = list(dict.fromkeys(use.read.key for use, _ in uses))
         others = f", and likewise {', '.join(keys[1:])}" if keys[1:] else ""

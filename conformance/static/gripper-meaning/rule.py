@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
-from xpl import robots as known
+from xpl import robots as robot_catalogue
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.manifests import key_line
 from xpl_cli.audit.static.source import Source
@@ -38,7 +38,9 @@ def gripper_meaning(source: Source) -> Iterator[Finding]:
     """
     if source.is_ecosystem:
         raise NotApplicable("an adapter without policy.yml declares nothing")
-    kinds = {word: known.entries()[name]["end_effector"]["kind"] for word, name in known.names().items()}
+    kinds = {
+        word: robot_catalogue.entries()[name]["end_effector"]["kind"] for word, name in robot_catalogue.names().items()
+    }
     robots = source.manifest.embodiments
     with_gripper = [robot for robot in robots if kinds.get(robot, _HAND) != _HAND]
     declared = source.manifest.gripper

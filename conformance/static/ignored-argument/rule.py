@@ -67,13 +67,13 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix: the right place for the argument depends on the program.
     """
-    found = False
+    has_finding = False
     orders = spec.data("package")["scripts"]
     for name, decisive in _DECISIVE.items():
         if source.has(name):
-            found = True
+            has_finding = True
             yield from _ignored(source, name, orders[name], decisive)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts of the standard")
 
 

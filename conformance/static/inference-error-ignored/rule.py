@@ -88,11 +88,11 @@ def _instead(handler: ast.ExceptHandler, node: ast.Try, function: Function) -> s
     tried = {last(name) for name in _risky(node.body)}
     if any(last(called(child)) in tried or last(called(child)) in {"getattr", "retry"} for child in inside):
         return None
-    wanted = {ast.unparse(target) for entry in node.body for target in targets(entry)}
+    assigned = {ast.unparse(target) for entry in node.body for target in targets(entry)}
     for entry in handler.body:
         if isinstance(entry, ast.Return):
             return ast.unparse(entry.value) if entry.value is not None else "nothing"
-        if isinstance(entry, ast.Assign) and {ast.unparse(target) for target in targets(entry)} & wanted:
+        if isinstance(entry, ast.Assign) and {ast.unparse(target) for target in targets(entry)} & assigned:
             return ast.unparse(entry.value)
     records = all(
         isinstance(entry, (ast.Pass, ast.Continue))

@@ -45,13 +45,13 @@ def inference_mutates_observation(source: Source) -> Iterator[Finding]:
     filled_here = {write.attribute for one in acting for write in one.writes if not _is_emptied(write.node)}
     stored = {write.attribute for one in observing for write in one.writes}
     stored = {name for name in stored if name not in filled_here or _is_map(acting, name)}
-    found: dict[int, tuple[Function, ast.AST, str]] = {}
+    mutations: dict[int, tuple[Function, ast.AST, str]] = {}
     for function, shared in _given(adapter, stored):
         if function in acting:
-            found |= {id(node): (function, node, what) for node, what in _changes(function, shared)}
+            mutations |= {id(node): (function, node, what) for node, what in _changes(function, shared)}
     for function, node, attribute in _dropped(acting, stored - filled_here):
-        found[id(node)] = (function, node, f"self.{attribute} is emptied")
-    for function, node, what in found.values():
+        mutations[id(node)] = (function, node, f"self.{attribute} is emptied")
+    for function, node, what in mutations.values():
         yield Finding(
             (
                 f"{what} while an action is computed: a second get_action on the same observation fails or gets "
@@ -76,10 +76,10 @@ def _given(adapter: ModelClass, stored: set[str]) -> Iterator[tuple[Function, fr
             if other is None:
                 continue
             expected = [name for name in parameters(other.node) if name != "self"]
-            given = [*zip(expected, call.args, strict=False), *((word.arg, word.value) for word in call.keywords)]
+            arguments = [*zip(expected, call.args, strict=False), *((word.arg, word.value) for word in call.keywords)]
             handed = frozenset(
                 name
-                for name, value in given
+                for name, value in arguments
                 if name and (_self_stored(value, stored) or _is_shared(value, function, shared))
             )
             if (other, handed) not in waiting:
@@ -107,12 +107,12 @@ def _changes(function: Function, shared: frozenset[str]) -> Iterator[tuple[ast.A
             yield node, f"{_named(node.args[0])} is removed"
     changes: list[ast.Assign | ast.AugAssign | ast.Delete] = [*function.of(ast.Assign), *function.of(ast.Delete)]
     for change in (*changes, *function.of(ast.AugAssign)):
-        for place in [change.target] if isinstance(change, ast.AugAssign) else change.targets:
-            if not isinstance(place, ast.Subscript) or not _is_shared(place.value, function, shared):
+        for target in [change.target] if isinstance(change, ast.AugAssign) else change.targets:
+            if not isinstance(target, ast.Subscript) or not _is_shared(target.value, function, shared):
                 continue
-            is_new = not isinstance(change, ast.Assign) or _is_made_anew(change, ast.unparse(place), function)
+            is_new = not isinstance(change, ast.Assign) or _is_made_anew(change, ast.unparse(target), function)
             if is_new and not _is_guarded(change, function):
-                yield change, f"{_named(place.slice)} is {'removed' if isinstance(change, ast.Delete) else 'changed'}"
+                yield change, f"{_named(target.slice)} is {'removed' if isinstance(change, ast.Delete) else 'changed'}"
 
 
 def _owner(node: ast.expr) -> ast.expr:
@@ -160,14 +160,14 @@ def _dropped(functions: list[Function], attributes: set[str]) -> Iterator[tuple[
     """Yield where these functions empty an attribute, or take an environment's observation out of it."""
     for function in functions:
         for node in function.of(ast.Assign, ast.AnnAssign, ast.Delete, ast.Call):
-            found: list[str | None] = []
+            dropped: list[str | None] = []
             if isinstance(node, (ast.Assign, ast.AnnAssign)) and _is_emptied(node):
-                found = [self_attribute(target) for target in targets(node) if isinstance(target, ast.Attribute)]
+                dropped = [self_attribute(target) for target in targets(node) if isinstance(target, ast.Attribute)]
             elif isinstance(node, ast.Delete):
-                found = [self_attribute(target) for target in node.targets]
+                dropped = [self_attribute(target) for target in node.targets]
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _DROPS:
-                found = [self_attribute(node.func.value)] if isinstance(node.func.value, ast.Attribute) else []
-            for attribute in found:
+                dropped = [self_attribute(node.func.value)] if isinstance(node.func.value, ast.Attribute) else []
+            for attribute in dropped:
                 if attribute in attributes and not _bounds(node, function):
                     yield function, node, attribute
 

@@ -40,28 +40,28 @@ def infrastructure_error_counted(source: Source) -> Iterator[Finding]:
     No automatic fix: the runner has to handle the error.
     """
     source.tree(sdk.File.DEPLOY_PY)
-    known = symbols(source, sdk.File.DEPLOY_PY).functions
+    defined = symbols(source, sdk.File.DEPLOY_PY).functions
     package = spec.data("package")
     executes = _CLIENT | set(package["task_env"]["operations"])
-    functions = [known[name] for name in package["loop"]["functions"] if name in known]
+    functions = [defined[name] for name in package["loop"]["functions"] if name in defined]
     if not functions:
         raise NotRun(f"{sdk.File.DEPLOY_PY} defines no evaluation function")
-    seen = {function.name for function in functions}
+    reached = {function.name for function in functions}
     for function in functions:
         for call in function.of(ast.Call):
             name = dotted(call.func)
-            if name in known and name not in seen:
-                seen.add(name)
-                functions.append(known[name])
+            if name in defined and name not in reached:
+                reached.add(name)
+                functions.append(defined[name])
     for function in functions:
         for node in function.of(ast.Try):
-            asked = next(
+            operation = next(
                 (last(called(call)) for entry in node.body for call in ast.walk(entry) if _asks(call, executes)), None
             )
-            for handler in node.handlers if asked else ():
+            for handler in node.handlers if operation else ():
                 if is_broad(handler) and not _hands_on(handler):
                     yield Finding(
-                        f"when {asked} fails, {function.name} continues without an error: an infrastructure "
+                        f"when {operation} fails, {function.name} continues without an error: an infrastructure "
                         "error counts as a failure of the policy",
                         **source.start(function.file, handler),
                         expected="an exception that reaches the runner",

@@ -54,8 +54,8 @@ def _imported(source: Source, node: ast.Import | ast.ImportFrom) -> list[str]:
     """Return the adapter's own files that one import statement of __init__.py runs."""
     modules = source.imports(sdk.File.INIT_PY)
     if isinstance(node, ast.Import):
-        wanted = [alias.name for alias in node.names]
+        imported = [alias.name for alias in node.names]
     else:
         module = "." * node.level + (node.module or "")
-        wanted = [module, *(f"{module}{'.' if node.module else ''}{alias.name}" for alias in node.names)]
-    return list(dict.fromkeys(modules[entry] for entry in wanted if entry in modules))
+        imported = [module, *(f"{module}{'.' if node.module else ''}{alias.name}" for alias in node.names)]
+    return list(dict.fromkeys(modules[entry] for entry in imported if entry in modules))

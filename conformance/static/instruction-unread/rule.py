@@ -55,9 +55,9 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     if escapes(adapter):
         return
     read = [(function, node) for function in functions for node in _reads(function)]
-    known = {text for function in functions for text in _constants(function)}
-    if read and len(known & {_ONE, _MANY}) == 1:
-        (spelling,) = known & {_ONE, _MANY}
+    mentioned = {text for function in functions for text in _constants(function)}
+    if read and len(mentioned & {_ONE, _MANY}) == 1:
+        (spelling,) = mentioned & {_ONE, _MANY}
         other = _MANY if spelling == _ONE else _ONE
         function, node = read[0]
         yield Finding(
@@ -68,16 +68,16 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
             got=ast.unparse(node)[:80],
             fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
         )
-    elif not known & {_ONE, _MANY}:
+    elif not mentioned & {_ONE, _MANY}:
         spoken = next(_spoken(adapter), None)
         if spoken is not None:
-            function, given, name = spoken
+            function, instruction_node, name = spoken
             yield Finding(
                 f"the policy has the input {name}, but never reads the instruction of an observation: every "
                 "instruction gives the same action; its weights may know one task only",
-                **source.at(function.file, given),
+                **source.at(function.file, instruction_node),
                 expected=f"`{_ONE}` of the observation",
-                got=ast.unparse(given).split("\n")[0][:80],
+                got=ast.unparse(instruction_node).split("\n")[0][:80],
                 fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
                 must=False,
             )
@@ -86,9 +86,9 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
 def _reads(function: Function) -> Iterator[ast.expr]:
     """Yield where an instruction is read, under its name or one of several in a row."""
     for node in function.of(ast.Subscript, ast.Call):
-        found = key_read(node)
-        if found is not None and found.key in {_ONE, _MANY}:
-            yield found.node
+        read = key_read(node)
+        if read is not None and read.key in {_ONE, _MANY}:
+            yield read.node
     loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
     for loop in loops:
         if {_ONE, _MANY} & texts(loop.iter):

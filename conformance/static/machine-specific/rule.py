@@ -54,9 +54,9 @@ def machine_specific(source: Source) -> Iterator[Finding]:
     if source.has(sdk.File.DEPLOY_YML):
         lines = source.text(sdk.File.DEPLOY_YML).split("\n")
         for number, line in enumerate(lines, start=1):
-            found = _PLACES.search(line.partition(" #")[0]) if not line.startswith("#") else None
-            if found and not _PERSON.match(found.group()):
-                yield _folder({"path": sdk.File.DEPLOY_YML, "line": number, "column": found.start() + 1}, found.group())
+            match = _PLACES.search(line.partition(" #")[0]) if not line.startswith("#") else None
+            if match and not _PERSON.match(match.group()):
+                yield _folder({"path": sdk.File.DEPLOY_YML, "line": number, "column": match.start() + 1}, match.group())
     for name in (sdk.File.MODEL_PY, sdk.File.DEPLOY_PY):
         if source.has(name) and source.parses(name):
             yield from _roots(source, name)
@@ -65,21 +65,21 @@ def machine_specific(source: Source) -> Iterator[Finding]:
 def _fixed(name: str, command: ShellCommand) -> Iterator[Finding]:
     """Yield variables that give a GPU or a port as a number."""
     for word in command.words:
-        found = _FIXED.fullmatch(word.raw)
-        if found:
+        match = _FIXED.fullmatch(word.raw)
+        if match:
             yield _finding(
                 word_location(name, word),
-                f"{found.group(1)} is {found.group(2)}, whatever the launcher chose: two runs share it",
-                f"{found.group(1)} from the script's argument or the environment",
+                f"{match.group(1)} is {match.group(2)}, whatever the launcher chose: two runs share it",
+                f"{match.group(1)} from the script's argument or the environment",
                 word.raw,
             )
 
 
 def _folders(source: Source, name: str, script: ShellScript) -> Iterator[Finding]:
     for word in _words(script):
-        found = _PLACES.search(word.raw) if "/" in word.raw else None
-        if found and not _PERSON.match(found.group()) and not is_candidate(source.text(name), word.line):
-            yield _folder(word_location(name, word), found.group())
+        match = _PLACES.search(word.raw) if "/" in word.raw else None
+        if match and not _PERSON.match(match.group()) and not is_candidate(source.text(name), word.line):
+            yield _folder(word_location(name, word), match.group())
 
 
 def _words(script: ShellScript) -> Iterator[ShellWord]:
@@ -109,8 +109,8 @@ def _roots(source: Source, name: str) -> Iterator[Finding]:
     }
     for node in source.nodes(name):
         if isinstance(node, ast.Call) and called(node) in {"sys.path.insert", "sys.path.append"} and node.args:
-            given = node.args[-1]
-            entries = loops.get(given.id, given) if isinstance(given, ast.Name) else given
+            argument = node.args[-1]
+            entries = loops.get(argument.id, argument) if isinstance(argument, ast.Name) else argument
             for entry in entries.elts if isinstance(entries, (ast.Tuple, ast.List)) else [entries]:
                 levels = _levels(entry, made)
                 if levels is not None and levels > _CHECKOUT:
@@ -136,9 +136,9 @@ def _levels(node: ast.expr, made: dict[str, ast.expr], depth: int = 8) -> int | 
     elif isinstance(node, ast.Attribute) and node.attr == "parent":
         inner, more = node.value, 1
     elif isinstance(node, ast.Subscript) and isinstance(node.value, ast.Attribute) and node.value.attr == "parents":
-        place = constant(node.slice)
-        inner, more = node.value.value, place + 1 if isinstance(place, int) else 0
-        inner = inner if isinstance(place, int) and place >= 0 else None
+        index = constant(node.slice)
+        inner, more = node.value.value, index + 1 if isinstance(index, int) else 0
+        inner = inner if isinstance(index, int) and index >= 0 else None
     elif isinstance(node, ast.Call):
         inner, more = _of_call(node)
     levels = None if inner is None else _levels(inner, made, depth - 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
-from xpl import robots as known
+from xpl import robots as robot_catalogue
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.static.manifests import key_line, rename_fix, schema_findings
 from xpl_cli.audit.static.source import Source
@@ -50,13 +50,13 @@ def manifest(source: Source) -> Iterator[Finding]:
         )
     declared = values.get("embodiments")
     for robot in declared if isinstance(declared, list) else []:
-        if isinstance(robot, str) and robot not in known.names():
+        if isinstance(robot, str) and robot not in robot_catalogue.names():
             yield Finding(
                 f"this policy cannot be evaluated on {robot}: there is no embodiment of that name",
                 path=name,
                 line=key_line(source, name, "embodiments"),
                 column=1,
-                expected=", ".join(known.entries()),
+                expected=", ".join(robot_catalogue.entries()),
                 got=robot,
                 fix=Fix("command", "xpl spec show"),
             )

@@ -46,9 +46,9 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
     if function is None or _asks_first(function):
         return
     reads = [
-        found
+        entry
         for node in function.nodes
-        if (found := key_read(node)) is not None and found.key == _KEY and _is_in_loop(found, function)
+        if (entry := key_read(node)) is not None and entry.key == _KEY and _is_in_loop(entry, function)
     ]
     by_position = any(read.default is not None and constant(read.default) is ... for read in reads)
     for read in reads:
@@ -70,11 +70,11 @@ def missing_env_index(source: Source) -> Iterator[Finding]:
 
 def _in_helpers(source: Source, adapter: ModelClass, function: Function) -> Iterator[Finding]:
     """Yield what a helper that is given one observation of the batch after another does without the key."""
-    seen: set[int] = set()
+    visited: set[int] = set()
     for caller, helper, parameter in _handed(adapter, function, 2):
-        if id(helper.node) in seen:
+        if id(helper.node) in visited:
             continue
-        seen.add(id(helper.node))
+        visited.add(id(helper.node))
         for choice in _chosen(helper):
             yield Finding(
                 f"{caller.name} passes a batch to {helper.name} one by one: without {_KEY} all count as "

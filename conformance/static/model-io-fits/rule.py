@@ -54,7 +54,7 @@ def model_io_fits(source: Source) -> Iterator[Finding | Proof]:
     lacking = _lacking(source, model_io, folders)
     yield from _outside(source, model_io)
     yield from _undeclared(source, model_io)
-    seen: set[str] = set()
+    reported: set[str] = set()
     manifest = source.manifest
     for robot, action_type in product(manifest.embodiments, manifest.action_types):
         if robot not in robots.names():  # which the rule on manifests reports
@@ -65,8 +65,8 @@ def model_io_fits(source: Source) -> Iterator[Finding | Proof]:
             interface = compile_interface(block, embodiment, action_type, folders, manifest.temporal.chunk)
             _convert(interface, manifest.cameras, block)
         except ConversionError as error:
-            if str(error) not in seen:
-                seen.add(str(error))
+            if str(error) not in reported:
+                reported.add(str(error))
                 yield _finding(
                     source,
                     f"the policy fails on {robot} with {action_type} actions: {error}",

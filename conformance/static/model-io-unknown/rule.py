@@ -39,16 +39,16 @@ def model_io_unknown(source: Source) -> Iterator[Finding]:
     model_io = source.manifest.model_io
     if model_io is None:
         raise NotApplicable("policy.yml has no model_io block")
-    found = gaps(model_io.data)
-    if found:
-        what = "a value" if len(found) == 1 else f"{len(found)} values"
-        first, *rest = (f"{gap.where} ({gap.reason})" for gap in found)
+    unknown = gaps(model_io.data)
+    if unknown:
+        what = "a value" if len(unknown) == 1 else f"{len(unknown)} values"
+        first, *rest = (f"{gap.where} ({gap.reason})" for gap in unknown)
         yield Finding(
             f"{what} of the model_io block unknown: {'; '.join((first, *rest))}",
-            **location_in(source, _FILE, (_BLOCK, *found[0].path)),
+            **location_in(source, _FILE, (_BLOCK, *unknown[0].path)),
             expected="a value in each place",
-            got=f"{len(found)} times unknown",
-            evidence={gap.where: gap.reason for gap in found},
+            got=f"{len(unknown)} times unknown",
+            evidence={gap.where: gap.reason for gap in unknown},
             fix=Fix(
                 "advice", "write the value of the authors' code, or {assumed: value, why: reason} to run without it"
             ),

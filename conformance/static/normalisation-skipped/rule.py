@@ -42,8 +42,8 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     settled: set[str] | None = None
     reported: set[str] = set()
     for function in adapter.reach(*OBSERVING, *ACTING):
-        found = [*_returned(function), *_fallen_through(function), *_branched(function)]
-        for node, statistics, why in found:
+        skips = [*_returned(function), *_fallen_through(function), *_branched(function)]
+        for node, statistics, why in skips:
             settled = _settled(adapter) if settled is None else settled
             if {statistics, str(id(node))} & (settled | reported):
                 continue
@@ -60,11 +60,11 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
 
 def _settled(adapter: ModelClass) -> set[str]:
     """Return the statistics for which construction raises, or that it sets without a condition to what a call gives."""
-    found: set[str] = set()
+    required: set[str] = set()
     for function in adapter.reach(*LOADING):
         for node in function.of(ast.If):
             if any(isinstance(child, ast.Raise) for child in node.body):
-                found |= {name for name, _ in _missing(node.test)}
+                required |= {name for name, _ in _missing(node.test)}
     attributes: dict[str, list[ast.expr]] = {}
     for function in adapter.reach(*LOADING):
         for setting in function.of(ast.Assign, ast.AnnAssign):
@@ -72,7 +72,7 @@ def _settled(adapter: ModelClass) -> set[str]:
             for target in targets(setting) if isinstance(value, ast.expr) else ():
                 if _is_statistics(target) and value is not None:
                     attributes.setdefault(dotted(target), []).append(value)
-    return found | {
+    return required | {
         name
         for name, values in attributes.items()
         if all(isinstance(value, ast.Call) and not _may_be_none(adapter, value) for value in values)
@@ -117,13 +117,13 @@ def _returned(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
     """Yield early returns of a parameter as it came, in a function that normalises."""
     if not _NORMALISES.search(function.name):
         return
-    given = set(parameters(function.node))
+    parameter_names = set(parameters(function.node))
     for node in function.of(ast.If):
         if isinstance(node.body[-1], ast.Return):
             value = node.body[-1].value
             while isinstance(value, ast.Call) and value.args:
                 value = value.args[0]
-            if isinstance(value, ast.Name) and value.id in given:
+            if isinstance(value, ast.Name) and value.id in parameter_names:
                 yield from ((node, name, why) for name, why in _missing(node.test))
 
 

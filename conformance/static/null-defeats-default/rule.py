@@ -38,8 +38,8 @@ def null_defeats_default(source: Source) -> Iterator[Finding]:
     No automatic fix: `or` would also replace 0, false and the empty string.
     """
     package = spec.data("package")
-    given = {name.strip("[]") for names in package["scripts"].values() for name in names}
-    nulls = {key for key, value in source.deploy.items() if value is None} - given
+    script_arguments = {name.strip("[]") for names in package["scripts"].values() for name in names}
+    nulls = {key for key, value in source.deploy.items() if value is None} - script_arguments
     for setting in ModelClass.of(source).settings:
         read = setting.read
         if read.key not in nulls or read.default is None or constant(read.default) is None:

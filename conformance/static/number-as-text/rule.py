@@ -70,8 +70,8 @@ def _listing(node: ast.expr, values: dict[str, ast.expr]) -> ast.Call | None:
         return None  # they are numbers already
     for call in inner:
         if isinstance(call, ast.Call) and last(called(call)) in _LISTS:
-            said = texts(value)
-            if any(_NUMBERED.search(text) for text in said) and not any(_PADDED.search(text) for text in said):
+            patterns = texts(value)
+            if any(_NUMBERED.search(text) for text in patterns) and not any(_PADDED.search(text) for text in patterns):
                 return call
     return None
 
@@ -79,9 +79,9 @@ def _listing(node: ast.expr, values: dict[str, ast.expr]) -> ast.Call | None:
 def _last_of(call: ast.Call, function: Function) -> bool:
     """Tell whether the last entry is taken: directly, by the list's name, or the first of a list that is reversed."""
     is_reversed = any(entry.arg == "reverse" and constant(entry.value) is True for entry in call.keywords)
-    wanted = 0 if is_reversed else -1
+    index = 0 if is_reversed else -1
     parent = function.up.get(call)
     if isinstance(parent, ast.Subscript):
-        return constant(parent.slice) == wanted
+        return constant(parent.slice) == index
     names = {dotted(target) for target in targets(parent)} if isinstance(parent, ast.Assign) else set()
-    return any(dotted(entry.value) in names and constant(entry.slice) == wanted for entry in function.of(ast.Subscript))
+    return any(dotted(entry.value) in names and constant(entry.slice) == index for entry in function.of(ast.Subscript))

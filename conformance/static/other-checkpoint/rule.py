@@ -60,21 +60,21 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     adapter = ModelClass.of(source)
     for function in adapter.reach(*LOADING):
         listed = [node for node in function.of(ast.Call) if last(called(node)) in _LISTS]
-        for node, wanted in (*_prefixes(function, listed), *_patterns(listed)):
+        for node, prefix in (*_prefixes(function, listed), *_patterns(listed)):
             yield Finding(
-                f"a checkpoint {wanted!r} that does not exist is replaced by one whose name starts with it",
+                f"a checkpoint {prefix!r} that does not exist is replaced by one whose name starts with it",
                 **source.at(function.file, node),
                 expected="an error that lists the existing checkpoints",
                 got=ast.unparse(node),
                 fix=Fix("advice", "compare whole names, or use xpl.checkpoint.resolve"),
             )
-        given = _given(function)
-        for place in _unrefused(adapter, function, given):
+        steps = _given(function)
+        for choice in _unrefused(adapter, function, steps):
             yield Finding(
-                f"if {min(given)} names a checkpoint that does not exist, the search continues and loads another one",
-                **source.start(function.file, place),
+                f"if {min(steps)} names a checkpoint that does not exist, the search continues and loads another one",
+                **source.start(function.file, choice),
                 expected="an error after the checkpoint was not found",
-                got=ast.unparse(place).split("\n")[0],
+                got=ast.unparse(choice).split("\n")[0],
                 fix=Fix("advice", "raise an error if the checkpoint was not found"),
             )
         for loop in _neighbours(function):
@@ -107,10 +107,10 @@ def _patterns(listed: list[ast.Call]) -> Iterator[tuple[ast.Call, str]]:
         for pattern in (entry for entry in ast.walk(node) if isinstance(entry, ast.JoinedStr)):
             for value, after in zip(pattern.values, pattern.values[1:], strict=False):
                 if isinstance(value, ast.FormattedValue) and isinstance(after, ast.Constant):
-                    wanted = ast.unparse(value.value)
-                    is_step = _STEP.match(wanted) is not None
+                    value_text = ast.unparse(value.value)
+                    is_step = _STEP.match(value_text) is not None
                     if re.match(r"\*" if is_step else r"[-_]?\*", str(after.value)):
-                        yield node, wanted
+                        yield node, value_text
 
 
 def _given(function: Function) -> set[str]:
@@ -118,7 +118,7 @@ def _given(function: Function) -> set[str]:
     arguments = function.node.args
     every = [*arguments.posonlyargs, *arguments.args]
     defaults = dict(zip(reversed(every), reversed(arguments.defaults), strict=False))
-    found = {
+    steps = {
         argument.arg
         for argument in every
         if constant(defaults.get(argument)) is None
@@ -128,16 +128,16 @@ def _given(function: Function) -> set[str]:
     for name, value in _assignments(function):
         keys = {read.key for child in ast.walk(value) if (read := key_read(child)) is not None}
         handed = value.args if isinstance(value, ast.Call) else [value]
-        if any(map(_STEP.match, keys)) or any(isinstance(part, ast.Name) and part.id in found for part in handed):
-            found.add(name)
-    return found
+        if any(map(_STEP.match, keys)) or any(isinstance(part, ast.Name) and part.id in steps for part in handed):
+            steps.add(name)
+    return steps
 
 
-def _unrefused(adapter: ModelClass, function: Function, given: set[str]) -> Iterator[ast.stmt]:
+def _unrefused(adapter: ModelClass, function: Function, steps: set[str]) -> Iterator[ast.stmt]:
     """Yield the first choice of an entry by its place, or of any, that a step which is missing leads to as well."""
-    if not any(names(node) & given for node in function.of(ast.Compare, ast.Lambda)):
+    if not any(names(node) & steps for node in function.of(ast.Compare, ast.Lambda)):
         return
-    sought = set(given)
+    sought = set(steps)
     for name, value in _assignments(function):
         if names(value) & sought:
             sought.add(name)
@@ -150,14 +150,14 @@ def _unrefused(adapter: ModelClass, function: Function, given: set[str]) -> Iter
         elif isinstance(node, (ast.Return, ast.Assign)):
             picked = [child for child in ast.walk(node.value) if _picks(child)] if node.value is not None else []
             is_choice = any(names(child) & entries or _listed(child, sought) for child in picked)
-        if is_choice and not _is_refused(node, function, given, sought):
+        if is_choice and not _is_refused(node, function, steps, sought):
             yield node
             return
 
 
 def _entries(adapter: ModelClass, function: Function) -> set[str]:
     """Return the names that hold entries of a folder, listed here or by a helper, sifted or not."""
-    found: set[str] = set()
+    entry_names: set[str] = set()
     added = [
         (call.func.value.id, call.args[0])
         for call in function.of(ast.Call)
@@ -167,9 +167,9 @@ def _entries(adapter: ModelClass, function: Function) -> set[str]:
     for name, value in (*added, *_assignments(function)):
         for child in ast.walk(value):
             helper = adapter.callee(function, child) if isinstance(child, ast.Call) else None
-            if _listed(helper.node if helper is not None else child, set()) or names(child) & found:
-                found.add(name)
-    return found
+            if _listed(helper.node if helper is not None else child, set()) or names(child) & entry_names:
+                entry_names.add(name)
+    return entry_names
 
 
 def _assignments(function: Function) -> Iterator[tuple[str, ast.expr]]:
@@ -191,11 +191,11 @@ def _picks(node: ast.AST) -> bool:
     return last(called(node)) in {"max", "min"}
 
 
-def _is_refused(node: ast.stmt, function: Function, given: set[str], sought: set[str]) -> bool:
+def _is_refused(node: ast.stmt, function: Function, steps: set[str], sought: set[str]) -> bool:
     """Tell whether a statement runs only where no step was given, or after an error for one that is missing."""
     inner: ast.AST = node
     for outer in enclosing(node, function.up):
-        if isinstance(outer, ast.If) and (inner in outer.body) is _denies(outer.test, given):
+        if isinstance(outer, ast.If) and (inner in outer.body) is _denies(outer.test, steps):
             return True
         for block in (getattr(outer, name, None) for name in ("body", "orelse")):
             for before in block[: block.index(inner)] if isinstance(block, list) and inner in block else ():
@@ -206,14 +206,14 @@ def _is_refused(node: ast.stmt, function: Function, given: set[str], sought: set
     return False
 
 
-def _denies(test: ast.expr, given: set[str]) -> bool | None:
+def _denies(test: ast.expr, steps: set[str]) -> bool | None:
     """Tell whether a test holds where no step was given (true), where one was (false), or asks something else."""
     if isinstance(test, ast.UnaryOp) and isinstance(test.op, ast.Not):
-        inner = _denies(test.operand, given)
+        inner = _denies(test.operand, steps)
         return None if inner is None else not inner
     if isinstance(test, ast.Name):
-        return False if test.id in given else None
-    if isinstance(test, ast.Compare) and names(test.left) & given and not names(test.comparators[0]):
+        return False if test.id in steps else None
+    if isinstance(test, ast.Compare) and names(test.left) & steps and not names(test.comparators[0]):
         return True if isinstance(test.ops[0], _IS) else False if isinstance(test.ops[0], _IS_NOT) else None
     return None
 

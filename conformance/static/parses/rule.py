@@ -113,14 +113,14 @@ def _shell(source: Source, name: str) -> Iterator[Finding]:
     except (FileNotFoundError, TooMuchError) as error:
         raise NotRun(f"{name} cannot be checked: {error}") from None
     if refused is not None:
-        line, said = refused
+        line, error_text = refused
         yield Finding(
-            f"{name} does not parse, so bash ends there: {said}",
+            f"{name} does not parse, so bash ends there: {error_text}",
             path=name,
             line=line,
             column=1,
             expected="a script that bash parses",
-            got=said,
+            got=error_text,
             fix=Fix("advice", f"`bash -n {name}` prints where bash stops"),
         )
 

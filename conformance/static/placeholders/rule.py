@@ -32,24 +32,24 @@ def placeholders(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     marker = spec.data("package")["placeholder"]
-    found: dict[str, list[int]] = {}
+    lines_by_file: dict[str, list[int]] = {}
     for name in source.text_files:
         lines = [number for number, line in enumerate(source.text(name).split("\n"), start=1) if f"{marker}:" in line]
         if lines:
-            found[name] = lines
-    if found:
-        count = sum(map(len, found.values()))
-        first = min(found)
+            lines_by_file[name] = lines
+    if lines_by_file:
+        count = sum(map(len, lines_by_file.values()))
+        first = min(lines_by_file)
         hollow = {entry.script: entry for entry in hollow_scripts(source) if entry.by_xpl}
         missing = " and ".join(sorted(entry.runs for entry in hollow.values()))
         advice = "fill in the placeholders and delete the markers"
         yield Finding(
-            f"{count} placeholders of the template remain, in {', '.join(sorted(found))}",
+            f"{count} placeholders of the template remain, in {', '.join(sorted(lines_by_file))}",
             path=first,
-            line=found[first][0],
+            line=lines_by_file[first][0],
             column=1,
             expected="no marker left",
             got=f"{count} of {marker}",
-            evidence={**found, **{script: [entry.word.line] for script, entry in hollow.items() if entry.word}},
+            evidence={**lines_by_file, **{script: [entry.word.line] for script, entry in hollow.items() if entry.word}},
             fix=Fix("advice", f"{advice}; write {missing}, or declare evaluation_only: true" if hollow else advice),
         )

@@ -47,14 +47,18 @@ def print_per_inference(source: Source) -> Iterator[Finding]:
 
 def _always(adapter: ModelClass) -> list[Function]:
     """Return the functions that every observation or action runs through."""
-    found = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name)) is not None]
+    functions = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name)) is not None]
     excluded = {id(method.node) for name in (*LOADING, *RESETTING) if (method := adapter.method(name)) is not None}
-    seen = {id(function.node) for function in found}
-    for function in found:
+    visited = {id(function.node) for function in functions}
+    for function in functions:
         for node in function.nodes:
             other = adapter.callee(function, node) if isinstance(node, ast.Call) else None
-            if other is None or id(other.node) in seen | excluded or is_conditional(node, function.node, function.up):
+            if (
+                other is None
+                or id(other.node) in visited | excluded
+                or is_conditional(node, function.node, function.up)
+            ):
                 continue
-            seen.add(id(other.node))
-            found.append(other)
-    return found
+            visited.add(id(other.node))
+            functions.append(other)
+    return functions

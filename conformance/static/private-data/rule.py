@@ -102,16 +102,16 @@ def _vendored(source: Source) -> Iterator[Finding]:
                     got=f"a literal of {len(issued.group(issued.lastindex or 0))} characters",
                     fix=Fix("advice", "revoke it, and delete the line"),
                 )
-            for found in _ADDRESS.finditer(line[:2000]) if may_lead and not address else ():
-                if _is_private(found.group()) and _DEFAULT.search(line[: found.start()]):
+            for match in _ADDRESS.finditer(line[:2000]) if may_lead and not address else ():
+                if _is_private(match.group()) and _DEFAULT.search(line[: match.start()]):
                     address = True
                     yield Finding(
                         "a vendored script falls back on a host of a private network; the adapter may never run it",
                         path=name,
                         line=number,
-                        column=found.start() + 1,
+                        column=match.start() + 1,
                         expected="no default, or an argument",
-                        got=found.group(),
+                        got=match.group(),
                         fix=Fix("advice", "delete the default"),
                         must=False,
                     )
@@ -135,21 +135,21 @@ def _suspects(line: str) -> Iterator[tuple[str, int, str, str]]:
     proxy = _PROXY.search(line)
     if proxy is not None:
         yield "every download uses a proxy that users do not have", proxy.start(), "a proxy", "delete it"
-    for found in _ADDRESS.finditer(line) if proxy is None else ():
-        if _is_private(found.group()) and not _VERSION.search(line[: found.start()]):
+    for match in _ADDRESS.finditer(line) if proxy is None else ():
+        if _is_private(match.group()) and not _VERSION.search(line[: match.start()]):
             message = "a host of a private network is named: elsewhere it is unreachable, or another machine"
-            yield message, found.start(), found.group(), "delete it, or read it from the configuration"
-    for found in _HOME.finditer(line):
-        if found.group(1).lower() not in _ANYBODY:
-            message = f"a path in the home folder of {found.group(1)} exists on one machine only"
-            yield message, found.start(), found.group(), "read the path from the configuration or the environment"
-    for found in _LINK.finditer(line):
-        if _is_mirror(found.group()) and not line.lstrip().startswith("#"):
-            host = urlsplit(found.group()).hostname
+            yield message, match.start(), match.group(), "delete it, or read it from the configuration"
+    for match in _HOME.finditer(line):
+        if match.group(1).lower() not in _ANYBODY:
+            message = f"a path in the home folder of {match.group(1)} exists on one machine only"
+            yield message, match.start(), match.group(), "read the path from the configuration or the environment"
+    for match in _LINK.finditer(line):
+        if _is_mirror(match.group()) and not line.lstrip().startswith("#"):
+            host = urlsplit(match.group()).hostname
             message = (
                 f"packages and weights are downloaded from the mirror {host}, whether or not users trust and reach it"
             )
-            yield message, found.start(), str(host), "delete it: users set a mirror in their own configuration"
+            yield message, match.start(), str(host), "delete it: users set a mirror in their own configuration"
     issued = _ISSUED.search(line) or _SECRET.search(line)
     if issued is not None and _is_random(issued.group(issued.lastindex or 0)):
         message = "what looks like a credential is published with the adapter"

@@ -71,16 +71,16 @@ def read_per_inference(source: Source) -> Iterator[Finding]:
 
 def _always(adapter: ModelClass, at_start: set[int]) -> list[Function]:
     """Return the functions that every observation or every action runs through."""
-    found = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name))]
-    seen = {id(function.node) for function in found}
-    for function in found:
+    functions = [function for name in (*OBSERVING, *ACTING) if (function := adapter.method(name))]
+    visited = {id(function.node) for function in functions}
+    for function in functions:
         for call in function.of(ast.Call):
             other = adapter.callee(function, call)
-            if other is None or id(other.node) in seen | at_start or _remembers(other) or _seldom(call, function):
+            if other is None or id(other.node) in visited | at_start or _remembers(other) or _seldom(call, function):
                 continue
-            seen.add(id(other.node))
-            found.append(other)
-    return found
+            visited.add(id(other.node))
+            functions.append(other)
+    return functions
 
 
 def _remembers(function: Function) -> bool:
@@ -100,6 +100,6 @@ def _is_read(call: ast.Call) -> bool:
     name = called(call)
     if name == "open":
         mode = constant(call.args[1]) if len(call.args) > 1 else "r"
-        given = [constant(entry.value) for entry in call.keywords if entry.arg == "mode"]
-        return str((given or [mode])[0]).startswith("r")
+        modes = [constant(entry.value) for entry in call.keywords if entry.arg == "mode"]
+        return str((modes or [mode])[0]).startswith("r")
     return name in _READS or last(name) in _LOADS

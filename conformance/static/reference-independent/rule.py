@@ -35,11 +35,11 @@ def reference_independent(source: Source) -> Iterator[Finding]:
     if not source.has(names.CODE):
         raise NotApplicable(f"there is no {names.CODE}: there is no reference for the model")
     source.tree(names.CODE)
-    for found in adapter_uses(source):
+    for use in adapter_uses(source):
         yield Finding(
-            f"{names.CODE} is not independent: {found.location['path']} {found.by} the adapter's own {found.what}",
-            **found.location,
+            f"{names.CODE} is not independent: {use.location['path']} {use.by} the adapter's own {use.what}",
+            **use.location,
             expected="the authors' code, and the configuration that answers(config) gets",
-            got=found.what,
+            got=use.what,
             fix=Fix("advice", "use the authors' classes and transforms instead"),
         )

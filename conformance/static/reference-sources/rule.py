@@ -54,17 +54,17 @@ def reference_sources(source: Source) -> Iterator[Finding | Proof]:
 
 
 def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) -> Iterator[Finding]:
-    for problem, place in reading.problems:
-        yield _finding(source, problem, place, "another map")
+    for problem, location in reading.problems:
+        yield _finding(source, problem, location, "another map")
     lacking = [name for name in applies if name not in (*reading.conventions, *reading.renamed)]
     if lacking:
         message = f"{names.CODE} cites no source for {', '.join(lacking)}"
         yield _finding(source, message, reading.location, "nothing for these")
     model_io = source.manifest.model_io
     values = {} if model_io is None else declared_values(model_io)
-    for name, told in reading.conventions.items():
-        if not told.is_assumed:
-            yield from _unfounded(source, name, told, values.get(name, ()))
+    for name, convention in reading.conventions.items():
+        if not convention.is_assumed:
+            yield from _unfounded(source, name, convention, values.get(name, ()))
     for what, counted in (("to be filled in", reading.empty), ("assumed", reading.guessed)):
         if counted:
             are = "a convention is" if len(counted) == 1 else f"{len(counted)} conventions are"
@@ -74,27 +74,31 @@ def _findings(source: Source, reading: ReferenceFile, applies: Sequence[str]) ->
             )
 
 
-def _unfounded(source: Source, name: str, told: Told, values: Sequence[DeclaredValue]) -> Iterator[Finding]:
+def _unfounded(source: Source, name: str, convention: Told, values: Sequence[DeclaredValue]) -> Iterator[Finding]:
     """Yield a finding for a source that is no line of a file, or whose line is not there or says otherwise."""
-    cited = Citation.parse(told.text)
+    cited = Citation.parse(convention.text)
     if cited is None:
-        yield _finding(source, f"the source of {name} names no line of a file", told.location, told.text)
+        yield _finding(source, f"the source of {name} names no line of a file", convention.location, convention.text)
         return
     here = source.path.resolve()
     quoted = lookup(cited, folders(here))
     if quoted is None:
         if not cited.is_foreign and (here / cited.path.partition("/")[0]).exists():
             message = f"the source of {name} cannot be looked up: {cited.path} does not exist"
-            yield _finding(source, message, told.location, told.text)
+            yield _finding(source, message, convention.location, convention.text)
     elif quoted.problem is not None:
-        yield _finding(source, f"the source of {name} cannot be looked up: {quoted.problem}", told.location, told.text)
+        yield _finding(
+            source, f"the source of {name} cannot be looked up: {quoted.problem}", convention.location, convention.text
+        )
     elif (contrary := contradiction(quoted, values)) is not None:
         message = f"the source of {name} contradicts it: {contrary}"
-        yield _finding(source, message, told.location, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
+        yield _finding(source, message, convention.location, f"{cited.path}:{cited.first}: {' '.join(quoted.text)}")
 
 
-def _finding(source: Source, message: str, place: SourceRange | None, got: str) -> Finding:
-    where = {"path": names.CODE, "line": 1, "column": 1} if place is None else location_of(source, names.CODE, place)
+def _finding(source: Source, message: str, location: SourceRange | None, got: str) -> Finding:
+    where = (
+        {"path": names.CODE, "line": 1, "column": 1} if location is None else location_of(source, names.CODE, location)
+    )
     return Finding(
         message,
         **where,

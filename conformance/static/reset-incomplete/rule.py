@@ -39,9 +39,9 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     adapter = ModelClass.of(source)
-    place = adapter.method(RESET) or adapter.method(RESETTING[-1])
+    reset = adapter.method(RESET) or adapter.method(RESETTING[-1])
     resetting = adapter.reach(*RESETTING)
-    if not adapter.is_closed and place is None:
+    if not adapter.is_closed and reset is None:
         return  # a base class that is not here resets
     if any(_resets_all(function, adapter) for function in resetting):
         return
@@ -52,7 +52,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     if not left:
         return
     first = next(iter(left.values()))
-    where = source.start(*((place.file, place.node) if place is not None else (adapter.file, adapter.node)))
+    where = source.start(*((reset.file, reset.node) if reset is not None else (adapter.file, adapter.node)))
     yield Finding(
         f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the previous episode set it: the "
         "next episode starts with its observation or plan",
@@ -68,13 +68,13 @@ def _left(acting: list[Function], forgotten: set[str]) -> dict[str, Write]:
     """Return the attributes that these functions remember and that are not among the forgotten."""
     used = read_attributes(acting)
     loading = set(LOADING) | set(RESETTING)
-    found: dict[str, Write] = {}
+    first_writes: dict[str, Write] = {}
     for write in writes([function for function in acting if function.name not in loading]):
         if write.attribute in used and write.attribute not in forgotten and not is_memo(write):
-            found.setdefault(write.attribute, write)
+            first_writes.setdefault(write.attribute, write)
     return {
         name: write
-        for name, write in found.items()
+        for name, write in first_writes.items()
         if not _is_temporary(name, acting)
         and not _is_guarded(write, used & forgotten)
         and not _is_drained(name, acting)

@@ -42,8 +42,8 @@ def script_arguments(source: Source) -> Iterator[Finding]:
                 break
             yield from _taken(script, order, command)
         for command in source.commands(script):
-            for called, wanted in orders.items():
-                yield from _given(script, called, wanted, command)
+            for called, own_order in orders.items():
+                yield from _given(script, called, own_order, command)
 
 
 def _taken(script: str, order: list[str], command: ShellCommand) -> Iterator[Finding]:
@@ -59,18 +59,20 @@ def _taken(script: str, order: list[str], command: ShellCommand) -> Iterator[Fin
         yield _finding(script, word, f"{script} uses {really} as {name}", f"{variable}=${{{order.index(name) + 1}}}")
 
 
-def _given(script: str, called: str, wanted: list[str], command: ShellCommand) -> Iterator[Finding]:
+def _given(script: str, called: str, own_order: list[str], command: ShellCommand) -> Iterator[Finding]:
     """Yield arguments of a call of an own script that stand in the place of another one."""
     words = list(command.arguments)
-    place = next(
+    script_index = next(
         (number for number, word in enumerate(words) if word.text.endswith(f"/{called}") or word.text == called), None
     )
-    if place is None or script == called:
+    if script_index is None or script == called:
         return
-    for word, expected in zip(words[place + 1 :], wanted, strict=False):
-        given = (word.variable or "").lower()
-        if given in wanted and given != expected:
-            yield _finding(script, word, f"{called} gets {given} in the position of {expected}", f'"${{{expected}}}"')
+    for word, expected in zip(words[script_index + 1 :], own_order, strict=False):
+        variable = (word.variable or "").lower()
+        if variable in own_order and variable != expected:
+            yield _finding(
+                script, word, f"{called} gets {variable} in the position of {expected}", f'"${{{expected}}}"'
+            )
 
 
 def _finding(script: str, word: ShellWord, consequence: str, expected: str) -> Finding:

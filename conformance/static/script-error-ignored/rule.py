@@ -50,16 +50,16 @@ def script_error_ignored(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Unsafe: a script that used to continue after a harmless failure stops there.
     """
-    found = False
+    has_finding = False
     for name, script in scripts(source):
-        found = True
+        has_finding = True
         if _is_read(source, name):
             continue  # the options of the script that reads it hold
         if "errexit" in script.options or _shebang(source.text(name)) or _is_given(source, script):
             yield from _hidden(source, name, script)
         else:
             yield from _passed(source, name, script)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts")
 
 

@@ -42,12 +42,12 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     adapter = ModelClass.of(source)
-    found = [setting for setting in adapter.settings if setting.read.key == _SEED]
-    for setting in found:
+    seed_reads = [setting for setting in adapter.settings if setting.read.key == _SEED]
+    for setting in seed_reads:
         yield from _replaced(source, setting)
-    if found and not adapter.config_escapes and not adapter.is_sdk:
-        yield from _unused(source, adapter, found)
-    if not found:
+    if seed_reads and not adapter.config_escapes and not adapter.is_sdk:
+        yield from _unused(source, adapter, seed_reads)
+    if not seed_reads:
         yield from _unseeded(source, adapter)
 
 
@@ -79,10 +79,10 @@ def _replaced(source: Source, setting: ConfigRead) -> Iterator[Finding]:
             return
 
 
-def _unused(source: Source, adapter: ModelClass, found: list[ConfigRead]) -> Iterator[Finding]:
+def _unused(source: Source, adapter: ModelClass, seed_reads: list[ConfigRead]) -> Iterator[Finding]:
     """Yield a seed that is only stored: in an attribute or a name that nothing reads."""
     functions = adapter.reach(*adapter.methods)
-    for setting in found:
+    for setting in seed_reads:
         function = setting.function
         statement: ast.AST | None = setting.read.node
         while statement is not None and not isinstance(statement, ast.stmt):
@@ -96,7 +96,7 @@ def _unused(source: Source, adapter: ModelClass, found: list[ConfigRead]) -> Ite
             mentions = (node for other in where for node in other.nodes if isinstance(node, kind))
             if any(isinstance(node.ctx, ast.Load) and last(ast.unparse(node)) == name for node in mentions):
                 return
-    setting = found[0]
+    setting = seed_reads[0]
     yield Finding(
         "the seed is stored and never used: runs with different seeds are equal, or no run can be reproduced",
         **source.at(setting.function.file, setting.read.node),

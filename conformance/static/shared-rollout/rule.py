@@ -59,14 +59,16 @@ def shared_rollout(source: Source) -> Iterator[Finding]:
 
 def _loop(adapter: ModelClass, function: Function) -> ast.AST | None:
     """Return the loop over environments or observations that a batch operation runs."""
-    given = parameters(function.node)
+    parameter_names = parameters(function.node)
     for node in function.nodes:
         if isinstance(node, LOOPS) and not isinstance(node, ast.While):
             iterated = (
                 [node.iter] if isinstance(node, (ast.For, ast.AsyncFor)) else [entry.iter for entry in node.generators]
             )
             if any(
-                isinstance(child, ast.Name) and child.id in given[:1] for entry in iterated for child in ast.walk(entry)
+                isinstance(child, ast.Name) and child.id in parameter_names[:1]
+                for entry in iterated
+                for child in ast.walk(entry)
             ) and any(
                 isinstance(child, ast.Attribute) and getattr(child.value, "id", "") == "self"
                 for child in ast.walk(node)

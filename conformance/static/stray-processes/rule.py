@@ -44,12 +44,12 @@ def stray_processes(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe: `exec` before the last command of a script without traps changes nothing else.
     """
-    found = False
+    has_finding = False
     for name, commands in scripts(source):
-        found = True
+        has_finding = True
         yield from _left(name, commands)
         yield from _by_name(name, commands)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts")
     yield from _orphaned(source)
 

@@ -40,13 +40,13 @@ def trajectory_names(source: Source) -> Iterator[Finding]:
     schema = spec.schema("trajectory")
     series = tuple(schema["$defs"]["series"]["properties"])
     camera = tuple(schema["properties"][sdk.Obs.VISION]["additionalProperties"]["properties"])
-    seen: set[int] = set()
+    reported: set[int] = set()
     for file in source.conversion_files:
         for function in source.functions(file):
             for entry in leaf_reads(function):
                 right = closest_name(entry.name, camera if entry.group == sdk.Obs.VISION else series)
-                if right is not None and id(entry.node) not in seen and right not in texts(function.node):
-                    seen.add(id(entry.node))  # a nested function is part of the one around it
+                if right is not None and id(entry.node) not in reported and right not in texts(function.node):
+                    reported.add(id(entry.node))  # a nested function is part of the one around it
                     yield _finding(source, file, entry, right)
 
 

@@ -74,7 +74,7 @@ def _used(adapter: ModelClass, holder: str) -> list[str]:
 
 def _aliases(function: Function) -> dict[str, str]:
     """Return the local names of entries: `frames` of `frames = self.frames.setdefault(env, [])`, with the attribute."""
-    found: dict[str, str] = {}
+    aliases: dict[str, str] = {}
     for node in function.of(ast.Assign):
         value = node.value
         if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in _ENTRIES:
@@ -85,24 +85,24 @@ def _aliases(function: Function) -> dict[str, str]:
             continue
         attribute = self_attribute(value)
         if attribute is not None and "maxlen" not in ast.unparse(node):
-            found |= {target.id: attribute for target in targets(node) if isinstance(target, ast.Name)}
-    return found
+            aliases |= {target.id: attribute for target in targets(node) if isinstance(target, ast.Name)}
+    return aliases
 
 
 def _by_alias(function: Function) -> Iterator[Write]:
     """Yield what is added to an entry by a local name of it."""
-    known = _aliases(function)
-    for more in function.of(ast.AugAssign) if known else ():
-        if isinstance(more.target, ast.Name) and more.target.id in known and _adds(more):
-            yield Write(known[more.target.id], "keyed", function, more)
-    for node in function.of(ast.Call) if known else ():
+    aliases = _aliases(function)
+    for more in function.of(ast.AugAssign) if aliases else ():
+        if isinstance(more.target, ast.Name) and more.target.id in aliases and _adds(more):
+            yield Write(aliases[more.target.id], "keyed", function, more)
+    for node in function.of(ast.Call) if aliases else ():
         if isinstance(node.func, ast.Attribute) and node.func.attr in _ADDS and isinstance(node.func.value, ast.Name):
-            attribute = known.get(node.func.value.id)
+            attribute = aliases.get(node.func.value.id)
             if attribute is not None:
                 yield Write(attribute, "keyed", function, node)
 
 
-def _shortened(node: ast.AST, known: dict[str, str]) -> set[str | None]:
+def _shortened(node: ast.AST, aliases: dict[str, str]) -> set[str | None]:
     """Return the attribute whose entry a node shortens by a local name of it."""
     names: list[ast.AST] = []
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _REMOVES:
@@ -111,7 +111,7 @@ def _shortened(node: ast.AST, known: dict[str, str]) -> set[str | None]:
         names = [target.value for target in node.targets if isinstance(target, ast.Subscript)]
     elif isinstance(node, ast.Assign):
         names = [target.value for target in targets(node) if isinstance(target, ast.Subscript)]
-    return {known.get(name.id) for name in names if isinstance(name, ast.Name)}
+    return {aliases.get(name.id) for name in names if isinstance(name, ast.Name)}
 
 
 def _adds(node: ast.AST) -> bool:
@@ -122,26 +122,26 @@ def _adds(node: ast.AST) -> bool:
 
 def _bounded(functions: list[Function], adapter: ModelClass) -> set[str]:
     """Return the attributes that something shortens, renews or bounds."""
-    found: set[str | None] = set()
+    bounded: set[str | None] = set()
     for function in functions:
-        known = _aliases(function)
+        aliases = _aliases(function)
         for node in function.of(ast.Assign, ast.AnnAssign, ast.Delete, ast.Call):
-            found |= _shortened(node, known)
+            bounded |= _shortened(node, aliases)
             if isinstance(node, (ast.Assign, ast.AnnAssign)):
-                found.update(
+                bounded.update(
                     one for target in targets(node) if not _is_first(one := self_attribute(target), node, function)
                 )
             elif isinstance(node, ast.Delete):
-                found.update(self_attribute(target) for target in node.targets)
+                bounded.update(self_attribute(target) for target in node.targets)
             elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _REMOVES:
                 is_look_up = node.func.attr == "get" and bool(node.args)
-                found.add(None if is_look_up else self_attribute(node.func.value))
+                bounded.add(None if is_look_up else self_attribute(node.func.value))
     for function in adapter.reach(*adapter.methods):
         for write in function.writes:
             value = getattr(write.node, "value", None)
             if isinstance(write.node, (ast.Assign, ast.AnnAssign)) and value is not None and _has_bound(value):
-                found.add(write.attribute)
-    return {attribute for attribute in found if attribute is not None}
+                bounded.add(write.attribute)
+    return {attribute for attribute in bounded if attribute is not None}
 
 
 def _is_first(attribute: str | None, node: ast.AST, function: Function) -> bool:

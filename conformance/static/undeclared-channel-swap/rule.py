@@ -44,8 +44,8 @@ def undeclared_channel_swap(source: Source) -> Iterator[Finding]:
     No automatic fix: weights that were trained on BGR images need BGR.
     """
     yield from _defaults(source)
-    told = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))
-    if any(_WORD in text.lower() for text in told):
+    manifests = (source.text(name) for name in (sdk.File.POLICY_YML, sdk.File.DEPLOY_YML) if source.has(name))
+    if any(_WORD in text.lower() for text in manifests):
         return
     for function in ModelClass.of(source).reach(*OBSERVING, *ACTING):
         for swap in channel_swaps(function):
@@ -70,17 +70,17 @@ def _defaults(source: Source) -> Iterator[Finding]:
     """Yield an order of channels that the code takes where deploy.yml, which says another one, lacks the key."""
     for setting in ModelClass.of(source).settings:
         read = setting.read
-        default, told = constant(read.default), source.deploy.get(read.key)
-        if not isinstance(default, str) or not isinstance(told, str) or not _ORDER.search(read.key):
+        default, configured = constant(read.default), source.deploy.get(read.key)
+        if not isinstance(default, str) or not isinstance(configured, str) or not _ORDER.search(read.key):
             continue
-        if default.lower() != told.lower() and {default.lower(), told.lower()} & {_WORD, "rgb"}:
+        if default.lower() != configured.lower() and {default.lower(), configured.lower()} & {_WORD, "rgb"}:
             yield Finding(
-                f"the default of {read.key} is {default}, but deploy.yml sets {told}: without that line red and "
+                f"the default of {read.key} is {default}, but deploy.yml sets {configured}: without that line red and "
                 "blue are swapped",
                 **source.at(setting.function.file, read.node),
-                expected=f"{told!r}, or an error",
+                expected=f"{configured!r}, or an error",
                 got=repr(default),
-                fix=Fix("advice", f"make the default {told!r}"),
+                fix=Fix("advice", f"make the default {configured!r}"),
             )
 
 

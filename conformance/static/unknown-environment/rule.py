@@ -54,8 +54,8 @@ def _fallbacks(function: Function) -> Iterator[tuple[ast.AST, ast.expr]]:
             if isinstance(first, ast.Call) and len(first.args) == 1 and _is_lookup(first) and _is_stored(second):
                 yield node, second
         elif isinstance(node, ast.IfExp) and isinstance(node.test, ast.Compare):
-            asked = node.test.comparators[0]
-            if isinstance(node.test.ops[0], ast.In) and self_attribute(asked) and _is_stored(node.orelse):
+            container = node.test.comparators[0]
+            if isinstance(node.test.ops[0], ast.In) and self_attribute(container) and _is_stored(node.orelse):
                 yield node, node.orelse
         elif isinstance(node, ast.Try):
             yield from _caught(node)

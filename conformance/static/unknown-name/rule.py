@@ -68,11 +68,11 @@ def unknown_name(source: Source) -> Iterator[Finding]:
 def _robots(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
     """Yield where a robot that nobody named becomes a certain one."""
     for branch in function.of(ast.If):
-        asked = _lacks(branch.test)
-        for entry in branch.body if _ROBOTS.search(last(asked)) else ():
+        missing = _lacks(branch.test)
+        for entry in branch.body if _ROBOTS.search(last(missing)) else ():
             value = constant(entry.value) if isinstance(entry, ast.Assign) else None
-            if isinstance(value, str) and _is_robot(value) and any(dotted(one) == asked for one in targets(entry)):
-                yield entry, last(asked), value
+            if isinstance(value, str) and _is_robot(value) and any(dotted(one) == missing for one in targets(entry)):
+                yield entry, last(missing), value
     for node in function.of(ast.Call, ast.BoolOp):
         read = key_read(node.values[0] if isinstance(node, ast.BoolOp) else node)
         default: ast.expr | None = None
@@ -120,8 +120,10 @@ def _selects_import(node: ast.AST, function: Function) -> bool:
     bound = {name for target in targets(statement) for name in names(target)} if statement is not None else set()
     for call in function.of(ast.Call):
         if last(called(call)) in {"import_module", "__import__", "getattr"}:
-            given = [child for argument in call.args for child in ast.walk(argument)]
-            if node in given or any(isinstance(child, ast.Name) and child.id in bound for child in given):
+            argument_nodes = [child for argument in call.args for child in ast.walk(argument)]
+            if node in argument_nodes or any(
+                isinstance(child, ast.Name) and child.id in bound for child in argument_nodes
+            ):
                 return True
     return False
 

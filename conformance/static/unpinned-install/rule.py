@@ -68,8 +68,8 @@ def unpinned_install(source: Source) -> Iterator[Finding]:
         if loose:
             yield _finding({"path": REQUIREMENTS, "line": loose[0][1], "column": 1}, [name for name, _ in loose])
     declared = source.manifest.environment
-    wanted = declared.requirements if declared.manager != "none" else ()
-    loose_names = [name for text in wanted for name in _loose(text)]
+    requirements = declared.requirements if declared.manager != "none" else ()
+    loose_names = [name for text in requirements for name in _loose(text)]
     if loose_names:
         line = key_line(source, sdk.File.POLICY_YML, "environment")
         yield _finding({"path": sdk.File.POLICY_YML, "line": line, "column": 1}, loose_names)
@@ -79,7 +79,7 @@ def _script(source: Source) -> Iterator[Finding]:
     """Yield one finding for all that install.sh installs loosely and does not pin elsewhere."""
     commands = [command for command in source.commands(sdk.File.INSTALL_SH) if _is_install(command)]
     words = [word for command in commands for word in _wanted(command)]
-    pinned = {_plain(found.group(1)) for word in words if (found := _NAME.fullmatch(word.text)) and found.group(2)}
+    pinned = {_plain(match.group(1)) for word in words if (match := _NAME.fullmatch(word.text)) and match.group(2)}
     pinned |= _declared(source)
     if "torch" in pinned:
         pinned |= _OF_TORCH
@@ -91,12 +91,12 @@ def _script(source: Source) -> Iterator[Finding]:
 def _declared(source: Source) -> set[str]:
     """Return what a project in the package, its own or a vendored one, or a list of requirements bounds."""
     own = ((name, source.text(name)) for name in source.text_files if "/" not in name)
-    found: set[str] = set()
+    bounded: set[str] = set()
     for name, text in (*own, *vendored.texts(source)):
         short = name.rpartition("/")[2]
         if short in _PROJECTS or (short.startswith(("requirements", "constraints")) and short.endswith(".txt")):
-            found |= {_plain(entry) for entry in _VERSIONED.findall(text)}
-    return found
+            bounded |= {_plain(entry) for entry in _VERSIONED.findall(text)}
+    return bounded
 
 
 def _is_install(command: ShellCommand) -> bool:
@@ -119,9 +119,9 @@ def _loose(text: str) -> list[str]:
     text = text[:_LONGEST].strip()
     if _REPOSITORY.search(text):
         return [text.rpartition("/")[2].removesuffix(".git")]
-    found = _NAME.fullmatch(text)
-    is_loose = found is not None and not found.group(2).strip() and _plain(found.group(1)) in _NUMERICAL
-    return [_plain(found.group(1))] if found and is_loose else []
+    match = _NAME.fullmatch(text)
+    is_loose = match is not None and not match.group(2).strip() and _plain(match.group(1)) in _NUMERICAL
+    return [_plain(match.group(1))] if match and is_loose else []
 
 
 def _plain(name: str) -> str:

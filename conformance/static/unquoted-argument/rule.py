@@ -36,15 +36,15 @@ def unquoted_argument(source: Source) -> Iterator[Finding]:
     Safe: quotes change nothing for values without spaces that are not empty.
     """
     standard = {entry.strip("[]") for entries in spec.data("package")["scripts"].values() for entry in entries}
-    found = False
+    has_finding = False
     for name, script in scripts(source):
-        found = True
+        has_finding = True
         for command in script:
             if program(command) in _CALLERS:
                 bare = [word for word in _by_position(command) if _is_bare(word, standard)]
                 if bare:
                     yield _finding(name, command, bare)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts")
 
 

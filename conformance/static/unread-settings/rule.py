@@ -84,17 +84,17 @@ def _deleted(source: Source, keys: list[str]) -> Fix:
 
 def _texts(source: Source, name: str) -> set[str]:
     """Return the texts of a Python file, and the names it reaches by attribute, as in `config.horizon`."""
-    found = set()
+    words = set()
     for node in source.nodes(name):
         if isinstance(node, ast.Constant) and isinstance(node.value, str):
-            found.add(node.value)
+            words.add(node.value)
         elif (
             isinstance(node, ast.Attribute)
             and isinstance(node.ctx, ast.Load)
             and getattr(node.value, "id", "") != "self"
         ):
-            found.add(node.attr)
-    return found
+            words.add(node.attr)
+    return words
 
 
 def _stored(source: Source, adapter: ModelClass, standard: set[str]) -> Iterator[Finding]:

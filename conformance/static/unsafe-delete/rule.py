@@ -36,16 +36,16 @@ def unsafe_delete(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe: `:?` changes nothing if the variables are not empty.
     """
-    found = False
+    has_finding = False
     for name, script in scripts(source):
-        found = True
+        has_finding = True
         for number, command in enumerate(script):
             if command.name == "rm" and any(re.match(r"-\w*[rR]|--recursive", word.raw) for word in command.words):
                 before = script[number - 1] if number else None
                 for word in command.arguments[1:]:
                     yield from _checked(name, script, word)
                     yield from _elsewhere(name, script, word, before)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts")
 
 

@@ -43,15 +43,15 @@ def unset_variable(source: Source) -> Iterator[Finding]:
     ## Fix safety
     Safe: a guard changes nothing if the variable is set.
     """
-    found = False
+    has_finding = False
     for name, script in scripts(source):
-        found = True
+        has_finding = True
         yield from _extended(name, script)
-        known = script.variables | script.checked
-        unknown = {word for word in _NAME.findall(source.text(name)) if word not in known}
+        set_names = script.variables | script.checked
+        unknown = {word for word in _NAME.findall(source.text(name)) if word not in set_names}
         if unknown and not any(map(_sets_unknown, script)):
             yield from _unset(name, script, unknown)
-    if not found:
+    if not has_finding:
         raise NotApplicable("the adapter has no scripts")
 
 
@@ -75,11 +75,11 @@ def _unset(name: str, script: ShellScript, unknown: set[str]) -> Iterator[Findin
 
 def _extended(name: str, script: ShellScript) -> Iterator[Finding]:
     """Yield search paths that are extended by their own value, whether or not they have one."""
-    seen: set[str] = set()
+    extended: set[str] = set()
     for command in script:
         for variable, value in command.assignments:
-            is_first = variable not in seen
-            seen.add(variable)
+            is_first = variable not in extended
+            extended.add(variable)
             if not (is_first and variable.isupper() and ":" in value.raw and variable in value.raw):
                 continue
             bare = any(item.name == variable and not item.guard for item in value.expansions)
@@ -91,8 +91,8 @@ def _extended(name: str, script: ShellScript) -> Iterator[Finding]:
                 then = "the path gets an empty entry, which is the working directory"
             else:
                 continue
-            wanted = f"${{{variable}:+:${variable}}}"
-            yield _finding(name, value, f"if the caller does not set {variable}, {then}", wanted)
+            replacement = f"${{{variable}:+:${variable}}}"
+            yield _finding(name, value, f"if the caller does not set {variable}, {then}", replacement)
 
 
 def _sets_unknown(command: ShellCommand) -> bool:

@@ -38,12 +38,12 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
-    known = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *source.manifest.methods}
+    operations = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *source.manifest.methods}
     for function in loops(source):
         first: ast.Call | None = None
         for node, name in sorted(policy_calls(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):
             is_call = isinstance(node.func, ast.Attribute) and node.func.attr == sdk.Message.CALL
-            if name is not None and (name not in known if is_call else name not in _CLIENT):
+            if name is not None and (name not in operations if is_call else name not in _CLIENT):
                 yield Finding(
                     f"the server does not know {name}: {function.name} stops with an error there",
                     **source.at(function.file, node),

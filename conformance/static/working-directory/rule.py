@@ -42,12 +42,12 @@ def working_directory(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     adapter = ModelClass.of(source)
-    given = _given(adapter)
+    config_parameters = _given(adapter)
     is_there = any(
         _goes_home(node) for file in source.python_files if source.parses(file) for node in source.nodes(file)
     )
     for function in () if is_there else adapter.reach(*LOADING):
-        resolved = list(_resolved(function, given.get(id(function.node), set()), adapter))
+        resolved = list(_resolved(function, config_parameters.get(id(function.node), set()), adapter))
         if resolved:
             paths = " and ".join(dict.fromkeys(path for _, path in resolved))
             yield _finding(source, function, resolved[0][0], f"{paths} of the configuration")
@@ -78,22 +78,22 @@ def _goes_home(node: ast.AST) -> bool:
 def _given(adapter: ModelClass) -> dict[int, set[str]]:
     """Return, by function, the parameters that some caller fills with a value of the configuration."""
     reads = {id(setting.read.node) for setting in adapter.settings}
-    found: dict[int, set[str]] = {}
+    config_parameters: dict[int, set[str]] = {}
     for function in adapter.reach(*LOADING):
         for node in function.nodes:
             other = adapter.callee(function, node) if isinstance(node, ast.Call) else None
             if other is not None and isinstance(node, ast.Call):
                 for name, value in zip(parameters(other.node), node.args, strict=False):
                     if any(id(child) in reads for child in ast.walk(value)):
-                        found.setdefault(id(other.node), set()).add(name)
-    return found
+                        config_parameters.setdefault(id(other.node), set()).add(name)
+    return config_parameters
 
 
-def _resolved(function: Function, given: set[str], adapter: ModelClass) -> Iterator[tuple[ast.AST, str]]:
+def _resolved(function: Function, config_parameters: set[str], adapter: ModelClass) -> Iterator[tuple[ast.AST, str]]:
     """Yield values of the configuration that are made absolute by the working directory."""
     reads = {id(setting.read.node): setting.read.key for setting in adapter.settings}
     if any(
-        last(called(node)) in {"isabs", "is_absolute", "join", "joinpath"} and names(node) & given
+        last(called(node)) in {"isabs", "is_absolute", "join", "joinpath"} and names(node) & config_parameters
         for node in function.nodes
     ):
         return
@@ -116,7 +116,7 @@ def _resolved(function: Function, given: set[str], adapter: ModelClass) -> Itera
         for child in ast.walk(value):
             if id(child) in reads:
                 yield node, reads[id(child)]
-            elif isinstance(child, ast.Name) and child.id in given:
+            elif isinstance(child, ast.Name) and child.id in config_parameters:
                 yield node, child.id
 
 
@@ -129,11 +129,13 @@ def _scratch(source: Source, adapter: ModelClass) -> Iterator[Finding]:
             if last(called(call)) not in _MAKES:
                 continue
             holder = call.func.value if isinstance(call.func, ast.Attribute) else None
-            given = call.args[:1] if last(called(call)) != "mkdir" or holder is None else [holder]
-            while given and isinstance(given[0], ast.Call) and called(given[0]) in {"Path", "pathlib.Path"}:
-                given = given[0].args[:1]
+            path_nodes = call.args[:1] if last(called(call)) != "mkdir" or holder is None else [holder]
+            while (
+                path_nodes and isinstance(path_nodes[0], ast.Call) and called(path_nodes[0]) in {"Path", "pathlib.Path"}
+            ):
+                path_nodes = path_nodes[0].args[:1]
             where: ast.AST = call
-            value = given[0] if given else None
+            value = path_nodes[0] if path_nodes else None
             if isinstance(value, ast.Name):
                 constants = _constants(source, function.file) if constants is None else constants
                 if value.id in constants:

@@ -78,19 +78,19 @@ def _misread(key: str, node: yaml.ScalarNode) -> str | None:
     is_octal, is_clock = _OCTAL.fullmatch(text), _CLOCK.fullmatch(text)
     is_name = _NAMES.fullmatch(key.removesuffix("[]"))
     is_alone = not key or key.endswith("[]")
-    told = {
+    readings = {
         "str": "a string" if _TEXTUAL.fullmatch(text) else None,
         "int": f"the number {int(text, 8)}" if is_octal else "a number of seconds" if is_clock else None,
         "timestamp": "a date",
         "float": f"the number {float(text)}" if is_name and _ENDS_IN_ZERO.fullmatch(text) else None,
         "bool": f"the boolean {text.lower() in _TRUE}" if is_alone and text.lower() in _WORDS else None,
     }
-    return told.get(tag)
+    return readings.get(tag)
 
 
 def _finding(file: str, key: str, node: yaml.ScalarNode, read: str) -> Finding:
     start, end = node.start_mark, node.end_mark
-    place = (start.line + 1, start.column + 1, end.line + 1, end.column + 1)
+    span = (start.line + 1, start.column + 1, end.line + 1, end.column + 1)
     text = str(node.value)
     is_number = _TEXTUAL.fullmatch(text) is not None
     better = _number(text) if is_number else f'"{text}"'
@@ -98,10 +98,10 @@ def _finding(file: str, key: str, node: yaml.ScalarNode, read: str) -> Finding:
     return Finding(
         f"YAML parses {what}{text} as {read}, and the policy runs with that",
         file,
-        *place,
+        *span,
         expected=better,
         got=text,
-        fix=Fix("safe_edit" if is_number else "unsafe_edit", better, (Edit(file, *place, better),)),
+        fix=Fix("safe_edit" if is_number else "unsafe_edit", better, (Edit(file, *span, better),)),
     )
 
 

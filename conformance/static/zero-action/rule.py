@@ -50,5 +50,7 @@ def zero_action(source: Source) -> Iterator[Finding]:
 def _is_output(name: str) -> bool:
     """Tell whether a map can be what a model answered: no observation, nothing that the adapter stored."""
     words = name.lower().split("_")
-    seen = {sdk.Obs.STATE, sdk.Payload.OBS, "observation", "self", "cfg", "config"}
-    return bool(name) and not name.endswith("()") and not name.startswith("self.") and not seen & set(words)
+    observation_words = {sdk.Obs.STATE, sdk.Payload.OBS, "observation", "self", "cfg", "config"}
+    return (
+        bool(name) and not name.endswith("()") and not name.startswith("self.") and not observation_words & set(words)
+    )
