@@ -54,7 +54,13 @@ class Recorder:
             self._thread.start()
 
     def step(self, number: int, reading: Reading, command: Numbers) -> None:
-        """Note a control step: what was measured, and what was commanded next."""
+        """Queue the record of one control step; do nothing outside an episode.
+
+        Args:
+            number: number of the step; it names the images.
+            reading: measured state, rad and 0..1, time of the measurement in s, and camera images.
+            command: command that followed, by key of the state, in the same units; rounded to six decimals.
+        """
         if self._episode is None:
             return
         line = {"step": number, "at": reading.at, "state": _plain(reading.state), "command": _plain(command)}

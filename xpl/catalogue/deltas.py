@@ -27,12 +27,24 @@ def frames(action_type: str) -> tuple[str, ...]:
 
 
 def differences(step: ArrayMap, base: ArrayMap, mode: str) -> dict[str, np.ndarray]:
-    """Return the deltas from the fields of `base` to those of a step, by key."""
+    """Return the deltas from the fields of `base` to those of a step, by key, float64.
+
+    Args:
+        step: fields of one step, (width,) each; poses are (7,), position in m and unit quaternion (w, x, y, z).
+        base: the fields that the deltas are relative to; it has every key of `step`.
+        mode: one of `APPLIED`, the frame of pose deltas; other fields are subtracted.
+    """
     return {key: _difference(key, np.asarray(value, np.float64), _of(base, key), mode) for key, value in step.items()}
 
 
 def apply_differences(change: ArrayMap, base: ArrayMap, mode: str) -> dict[str, np.ndarray]:
-    """Return the step that deltas to the fields of `base` lead to."""
+    """Return the step that deltas to the fields of `base` lead to, float64; the inverse of `differences`.
+
+    Args:
+        change: deltas by key, (width,) each; of poses (7,), a translation in m and a unit quaternion (w, x, y, z).
+        base: the fields that the deltas are relative to; it has every key of `change`.
+        mode: one of `APPLIED`, the frame of pose deltas; other fields are added.
+    """
     return {
         key: _apply_difference(key, np.asarray(value, np.float64), _of(base, key), mode)
         for key, value in change.items()

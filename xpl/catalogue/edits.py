@@ -136,7 +136,16 @@ def remove_key(key: str) -> EntryChange:
 
 
 def set_key(key: str, value: Any, default: Any = None) -> EntryChange:
-    """Return the change of a key to another value, where it differs; a default value is not written."""
+    """Return the change of a key to another value.
+
+    Args:
+        key: key of an entry.
+        value: new value.
+        default: value of an entry without the key; to set it removes the key.
+
+    Returns:
+        a change that does not apply to entries that already have the value.
+    """
 
     def change(entry: Any) -> Block | None:
         if entry.get(key, default) == value:
@@ -147,7 +156,14 @@ def set_key(key: str, value: Any, default: Any = None) -> EntryChange:
 
 
 def copy_between_state_and_action(block: Block, kinds: Sequence[str], key: str, convention: str) -> Iterator[Mistake]:
-    """Yield the value of a key copied from the action's part of an arm to the state's, and the other way round."""
+    """Yield the value of a key copied from the action's part of an arm to the state's, and the other way round.
+
+    Args:
+        block: the model_io block.
+        kinds: kinds of parts; each is copied by itself.
+        key: key of the parts; a part without it removes it from the other.
+        convention: name of the mistakes' convention.
+    """
     for kind in kinds:
         sites = parts(block, kind)
         for group, other in (("state", "action"), ("action", "state")):

@@ -135,7 +135,16 @@ PARTS: tuple[tuple[int, str, Callable[[Function], Function]], ...] = (
 def linear(  # noqa: PLR0913, PLR0917 - one line of numbers
     rank: int, words: str, convention: str, keys: Iterable[str], scale: float, offset: float = 0.0
 ) -> FieldChange:
-    """Return the change to ``scale * x + offset``."""
+    """Return the change of fields to ``scale * x + offset``; deltas are scaled only.
+
+    Args:
+        rank: 0 for the likeliest.
+        words: what the model expects.
+        convention: name of the change's convention.
+        keys: keys of the fields; absent ones are skipped.
+        scale: factor from the standard's values to the model's, not 0.
+        offset: summand, in the model's unit.
+    """
     return FieldChange(
         rank,
         words,
@@ -149,7 +158,15 @@ def linear(  # noqa: PLR0913, PLR0917 - one line of numbers
 def swap_sides(
     rank: int, words: str, convention: str, names: Sequence[str], embodiment: Embodiment
 ) -> Iterator[FieldChange]:
-    """Yield the exchange of left and right in some fields, where there are two arms."""
+    """Yield the exchange of left and right in some fields; nothing for a robot of one arm.
+
+    Args:
+        rank: 0 for the likeliest.
+        words: what is exchanged, as the beginning of the description.
+        convention: name of the change's convention.
+        names: names of the fields, without an arm's prefix.
+        embodiment: the robot.
+    """
     if len(embodiment.prefixes) == 2:
         one, other = embodiment.prefixes
         turn = swap_fields({one + name: other + name for name in names})
@@ -174,7 +191,17 @@ ExtraChange = Callable[[Obs], Obs]
 
 
 def field_mistakes(change: FieldChange, case: AdapterCase, extra: ExtraChange | None = None) -> Iterator[Mistake]:
-    """Yield the mistakes of a change that apply to what the adapter reads and to its actions."""
+    """Yield the mistakes of a change that apply to what the adapter reads and to its actions.
+
+    Each target of the change is tried on absolute values and on deltas in every frame of the action type. Targets with
+    the state are left out if the change has no effect on what the adapter reads, those with actions if it has none on
+    the fields of an action.
+
+    Args:
+        change: the change of an arm's fields.
+        case: the adapter.
+        extra: additional change of an observation, after that of its state.
+    """
     change_observations = _change_state(change.to_model, extra)
     action_type, dims = case.action_type, case.embodiment.dims(case.action_type)
     commands = _has_effect(change, dims)

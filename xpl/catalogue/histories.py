@@ -35,6 +35,13 @@ def history_mistakes(
 
     Each call is run by itself, because the observations sent depend on it. Delta actions relative to the last state
     sent are also rebased to the true state.
+
+    Args:
+        rank: 0 for the likeliest.
+        words: description of the mistake.
+        convention: name of its convention.
+        select: returns the observations to send, of those of the episode up to the call, oldest first.
+        case: the adapter.
     """
 
     def changed(observations: Sequence[Obs]) -> ObservationList:

@@ -29,7 +29,15 @@ ImageFunction = Callable[[Picture], Picture]
 def image_mistakes(
     rank: int, words: str, convention: str, change: ImageFunction, case: AdapterCase
 ) -> Iterator[Mistake]:
-    """Yield a change of the images of all cameras, of each, and of both wrists."""
+    """Yield a change of the images of all cameras, of each, and of both wrists.
+
+    Args:
+        rank: rank of the change of all cameras; 0 is the likeliest. Changes of fewer have the next one.
+        words: description of the change.
+        convention: name of its convention.
+        change: from an image (H, W, 3) uint8 RGB to another one.
+        case: the adapter, whose `cameras` are changed.
+    """
     cameras = case.cameras
     if not cameras:
         return
@@ -105,7 +113,16 @@ def change_steps(change: StepsChange) -> EntryChange:
 
 
 def shape_after(word: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
-    """Return height and width after one step."""
+    """Return height and width after one step.
+
+    Args:
+        word: kind of the step, such as crop.
+        how: its parameters.
+        shape: height and width before, pixels.
+
+    Raises:
+        ConversionError: a crop is larger than the image.
+    """
     step: catalogue.GeometryStep = catalogue.lookup("steps", word)
     return step.shape(how, shape)
 
@@ -142,7 +159,14 @@ def replace_steps(word: str, by: StepEntry) -> StepsChange:
 
 
 def set_in_steps(words: Sequence[str], key: str, value: Any, default: Any) -> StepsChange:
-    """Set a key in each step of some kinds; a default value is not written."""
+    """Return the change that sets a key in each step of some kinds.
+
+    Args:
+        words: kinds of steps.
+        key: key of their parameters.
+        value: new value.
+        default: value of a step without the key; to set it removes the key.
+    """
 
     def change(steps: Steps) -> Steps:
         result = []

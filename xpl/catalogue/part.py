@@ -71,8 +71,13 @@ def arm_of(embodiment: Embodiment, side: str) -> Arm:
 def state_field(state: State, key: str, width: int) -> Numbers:
     """Return a field of a state, (width,) float64.
 
+    Args:
+        state: the map `state` of an observation.
+        key: key of the field, with the arm's prefix.
+        width: number of its values.
+
     Raises:
-        ObservationError: it is missing, or no such array of finite numbers.
+        ObservationError: the field is missing, or is no array (width,) of finite numbers.
     """
     if key not in state:
         raise ObservationError(f"the state has no {key!r}, which the model_io block reads; it has {', '.join(state)}")

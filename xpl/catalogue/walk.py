@@ -117,10 +117,15 @@ def map_images(value: Any, change: Callable[[Any, int], Any]) -> Any:
 
 
 def map_vectors(value: Any, width: int, change: Callable[[Any], Any]) -> Any:
-    """Return model inputs or answers with the vectors of a width changed.
+    """Return model inputs or outputs with the vectors of a width changed.
+
+    Args:
+        value: arrays, tensors, texts, and maps and lists of these; images and texts stay.
+        width: length of the last axis of the arrays that are changed.
+        change: returns the replacement of an array (..., width).
 
     Raises:
-        NoEffectError: there is none.
+        NoEffectError: no array has this width.
     """
     is_found = False
 

@@ -1,4 +1,4 @@
-"""A finder behind those of files: it gives the ecosystem's modules where no real ones were found before it."""
+"""An import finder that provides replacements of the ecosystem's modules where the real ones are not installed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MODULES: Mapping[str, str] = {
     f"{checkout.CLIENTS}.ws.model_client": _CLIENTS,
     f"{checkout.CLIENTS}.ws": _CLIENTS,
 }
-"""Names of modules, and the files of ours that stand for them."""
+"""Names of the ecosystem's modules, and the files in `offered` that replace them."""
 _PACKAGES = frozenset(
     (
         checkout.PACKAGE,
@@ -36,12 +36,12 @@ _PACKAGES = frozenset(
 
 
 class EcosystemFinder:
-    """Finds what lacks of the ecosystem.
+    """Finds the replacements of ecosystem modules that are not installed.
 
     Args:
         policy_dir: folder of the adapter, which is importable below `XPolicyLab.policy`.
-        root: the real checkout that it lies in, None if in none.
-        names: what it calls the checkout, besides `XPolicyLab`.
+        root: the real checkout that contains the adapter; None if there is none.
+        names: other names by which the adapter imports the checkout, besides `XPolicyLab`.
     """
 
     def __init__(self, policy_dir: Path, root: Path | None, names: Collection[str] = ()) -> None:
@@ -50,9 +50,9 @@ class EcosystemFinder:
         self._names = frozenset((checkout.PACKAGE, *names))
 
     def install(self) -> None:
-        """Install this finder after those of files, in place of an earlier one.
+        """Insert this finder into `sys.meta_path` right after `PathFinder`, in place of an earlier one.
 
-        What stands in for modules that are nowhere comes after it.
+        Finders that replace modules of any name come after it.
         """
         others = [finder for finder in sys.meta_path if not isinstance(finder, EcosystemFinder)]
         place = others.index(PathFinder) + 1 if PathFinder in others else len(others)
@@ -64,10 +64,19 @@ class EcosystemFinder:
         path: object = None,  # noqa: ARG002 - of the interface
         target: object = None,  # noqa: ARG002
     ) -> importlib.machinery.ModuleSpec | None:
-        """Return a module of ours, or the checkout as a package where its folder is called otherwise."""
+        """Return the spec of a replacement, or of the checkout under one of its names.
+
+        Args:
+            name: full name of the module.
+            path: not used; the import system passes it.
+            target: not used; the import system passes it.
+
+        Returns:
+            None if another finder has to provide the module; with a real checkout, that is all but the checkout itself.
+        """
         if name in self._names and self._root is not None:
             return _package(name, self._root)
-        if self._root is not None:  # what a real checkout lacks is not made up
+        if self._root is not None:  # a module that the real checkout lacks is not replaced
             return None
         if name == f"{checkout.PACKAGE}.policy.{self._policy_dir.name}":
             return _package(name, self._policy_dir)
@@ -88,10 +97,10 @@ def _package(name: str, folder: Path | None) -> importlib.machinery.ModuleSpec:
 
 
 class _NamespaceLoader:
-    """Loads a package that holds nothing but what lies below it."""
+    """Loads a package that has submodules and no content of its own."""
 
     def create_module(self, spec: importlib.machinery.ModuleSpec) -> ModuleType | None:  # noqa: ARG002 - of the interface
-        """Return None, for a module as usual."""
+        """Return None: the import system creates an ordinary module."""
         return None
 
     def exec_module(self, module: ModuleType) -> None:

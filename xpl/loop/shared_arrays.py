@@ -45,7 +45,13 @@ class SharedArrays:
         return None
 
     def resolve(self, number: Any, index: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
-        """Return the array of a reference.
+        """Return the array of a reference, as the peer sent it.
+
+        Args:
+            number: number of the cached value, from 1.
+            index: index of the array in it, from 0.
+            dtype: dtype that the array must have.
+            shape: shape that the array must have, a list of sizes.
 
         Raises:
             PackingError: no such array is cached.

@@ -1,4 +1,4 @@
-"""Arrays as bytes: what may travel, how a dtype is written down, and how an array is made of bytes again.
+"""Arrays as bytes: which arrays can be sent, how a dtype is written, and how bytes become an array again.
 
 Both codecs (`xpl.wire.codec`, `xpl.process.link`) build on this. A plain dtype is written as `dtype.str`, a structured
 one as `[[name, dtype], ...]`, or `[name, dtype, shape]` for a field that is an array itself. Objects and dates are
@@ -23,7 +23,7 @@ _NAME = re.compile(r"[<>=|]?[A-Za-z?]\w{0,15}", re.ASCII)
 
 
 class ArrayError(ValueError):
-    """A value is no array that may travel, or a description and its bytes do not make one."""
+    """A value is no array that can be sent, or bytes do not match the dtype and shape of an array."""
 
 
 def as_array(value: object) -> np.ndarray:
@@ -56,10 +56,15 @@ def data_of(array: np.ndarray) -> Data:
 
 
 def from_data(data: Data, dtype: np.dtype[np.generic], shape: object) -> np.ndarray:
-    """Return the read-only array of some bytes, a view of them.
+    """Return a read-only array that is a view of some bytes.
+
+    Args:
+        data: the array's bytes in C order.
+        dtype: its dtype, as `parse_dtype` returns it.
+        shape: list or tuple of sizes; anything else is refused.
 
     Raises:
-        ArrayError: if the bytes are not exactly those of an array of this shape and type.
+        ArrayError: the bytes are not exactly those of an array of this shape and dtype.
     """
     if not isinstance(shape, (list, tuple)) or not all(type(size) is int and size >= 0 for size in shape):
         raise ArrayError(f"an array shape must be a list of sizes, got {shape!r:.80}")
@@ -77,24 +82,24 @@ def from_data(data: Data, dtype: np.dtype[np.generic], shape: object) -> np.ndar
 
 
 def _has_flags_only(array: np.ndarray) -> bool:
-    """Tell whether each flag of an array, or of its structures, is one."""
+    """Return whether each bool of an array, or of its structures, is a byte of 0 or 1."""
     if array.dtype.names is not None:
         return all(_has_flags_only(array[name]) for name in array.dtype.names)
     return array.dtype.kind != "b" or not array.size or int(array.view(np.uint8).max()) <= 1
 
 
 def describe_dtype(dtype: np.dtype[Any]) -> Any:
-    """Return the text or list that stands for a dtype; the inverse of `parse_dtype`."""
+    """Return the text or list that describes a dtype; the inverse of `parse_dtype`."""
     if dtype.names is None:
         return dtype.str
     return [[name, *_describe_field(dtype[name])] for name in dtype.names]
 
 
 def parse_dtype(description: object) -> np.dtype[np.generic]:
-    """Return the dtype that a text or a list stands for; text may be bytes.
+    """Return the dtype that a text or a list describes; text may be bytes.
 
     Raises:
-        ArrayError: if it stands for none, or for one that may not travel.
+        ArrayError: it describes no dtype, or one whose arrays cannot be sent.
     """
     if isinstance(description, list):
         if len(description) > _FIELDS:
@@ -145,7 +150,7 @@ def _text(value: object) -> str:
 
 
 def check_dtype(dtype: np.dtype[np.generic]) -> None:
-    """Check that arrays of a type may travel.
+    """Check that arrays of a dtype can be sent.
 
     Raises:
         ArrayError: for objects and dates, also inside structures, for elements without a size, and for structures of
@@ -165,7 +170,7 @@ def check_dtype(dtype: np.dtype[np.generic]) -> None:
         parts.extend(part[name] for name in part.names)
 
 
-@functools.lru_cache(maxsize=512)  # not of structures: a peer can make up as many as it likes, each as large as a frame
+@functools.lru_cache(maxsize=512)  # not structures: a peer can invent any number of them, each as large as a frame
 def _check_plain(dtype: np.dtype[np.generic]) -> None:
     if dtype.kind not in _KINDS or dtype.hasobject or dtype.itemsize == 0:
         raise ArrayError(f"arrays of type {dtype!s:.80} are refused: only numbers, flags and text travel")

@@ -1,8 +1,8 @@
 """Memory that a client, the server and its worker share on one host: arrays cross processes without being sent.
 
-The server makes a file (mode 0600, in memory where the system has such a place), the client proves that it sees the
-same file, the worker opens it, and then the server unlinks it: nothing is left if a process dies. An array lies in
-one block. A block is free, or sent: the client wrote it, and the worker frees it when it has copied the array.
+The server creates a file (mode 0600, in `/dev/shm` if it is writable), the client proves that it sees the same file,
+the worker opens it, and then the server unlinks it: no file is left if a process dies. An array occupies one block. A
+block is free, or sent: the client wrote it, and the worker frees it when it has copied the array.
 
 `multiprocessing.shared_memory` is not used: in Python 3.11 a process that merely attaches unlinks the memory when it
 ends.
@@ -34,15 +34,15 @@ _FREE, _SENT = _S["free"], _S["sent"]
 _PREFIX = "xpl-"
 _ALIGN = 64
 _GRAIN = 1 << 22
-"""Memory is taken from the system in pieces of this many bytes."""
+"""Memory is allocated in pieces of this many bytes."""
 
 
 class SegmentError(OSError):
-    """Shared memory cannot be had, or is not what it was said to be."""
+    """Shared memory is not available, or the file is not as its owner described it."""
 
 
 def folder() -> Path:
-    """Return where segments are made: memory if there is a file system of it."""
+    """Return the folder of segments: `/dev/shm` if it is writable, else the folder for temporary files."""
     memory = Path("/dev/shm")  # noqa: S108 - files are made with mode 0600 under unpredictable names
     return memory if os.access(memory, os.W_OK) else Path(tempfile.gettempdir())
 
@@ -51,15 +51,15 @@ class Segment:
     """The server's side: makes the file and checks the client's proof.
 
     Args:
-        size: bytes it may grow to; they are taken from the system as they are used.
+        size: bytes it may grow to; memory is allocated as it is used.
 
     Attributes:
         path: the file, until it is unlinked.
         size: bytes.
-        token: what the client has to read there.
+        token: bytes that the client has to read there.
 
     Raises:
-        SegmentError: if there is no room for it.
+        SegmentError: the system has not enough memory.
     """
 
     def __init__(self, size: int = spec.LIMITS["shared_bytes"]) -> None:
@@ -71,7 +71,7 @@ class Segment:
         except OSError as error:
             raise SegmentError(f"no shared memory in {self.path.parent}: {error.strerror}") from None
         try:
-            # The lock tells `sweep` that the maker lives; the system drops it with the process.
+            # The lock tells `sweep` that the server is alive; the system releases it when the process ends.
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             os.ftruncate(self._file, size)
             _take(self._file, 0, min(size, _DATA + _GRAIN))
@@ -81,16 +81,16 @@ class Segment:
             raise SegmentError(f"no room for shared memory in {self.path.parent}: {error.strerror}") from None
 
     def answer(self) -> bytes:
-        """Return what the client wrote as its part of the proof."""
+        """Return the bytes that the client wrote as its part of the proof."""
         return os.pread(self._file, _TOKEN, _TOKEN)
 
     def unlink(self) -> None:
-        """Take the file's name away; who has mapped it keeps the memory."""
+        """Unlink the file; processes that have mapped it keep the memory."""
         with contextlib.suppress(FileNotFoundError):
             self.path.unlink()
 
     def close(self) -> None:
-        """Unlink and let go of the file; closing twice is fine."""
+        """Unlink and close the file; further calls have no effect."""
         self.unlink()
         if self._file >= 0:
             os.close(self._file)
@@ -98,7 +98,7 @@ class Segment:
 
 
 def sweep() -> list[Path]:
-    """Unlink segments whose maker was killed before it could, and return them."""
+    """Unlink and return the segments that killed servers left behind."""
     left = []
     for path in folder().glob(f"{_PREFIX}*"):
         with contextlib.suppress(OSError):
@@ -121,15 +121,15 @@ class Arena:
         size: its size.
 
     Attributes:
-        token: what the server wrote there, the client's proof that it sees the file.
-        answer: what the client wrote there, for the server to read.
+        token: bytes that the server wrote there, the client's proof that it sees the file.
+        answer: bytes that the client wrote there, for the server to read.
 
     Raises:
-        SegmentError: if there is no such file of ours.
+        SegmentError: there is no such file of this user, or it has another size.
     """
 
     def __init__(self, path: str, size: int) -> None:
-        # The server may be anyone's: no other file of this user is to be opened because it says so.
+        # The server is not trusted: it must not make the client open another file of this user.
         if Path(path).parent != folder() or not Path(path).name.startswith(_PREFIX):
             raise SegmentError(f"shared memory must be a file {folder()}/{_PREFIX}*, the server named {path:.200}")
         try:
@@ -170,28 +170,28 @@ class Arena:
         return block, offset
 
     def written(self) -> list[int]:
-        """Return the tickets of the arrays placed since the last call: those of one request."""
+        """Return the tickets of the arrays stored since the last call: those of one request."""
         tickets, self._written = self._written, []
         return tickets
 
     def answered(self, tickets: list[int]) -> None:
-        """Free the blocks of a request that was answered though the worker never took them.
+        """Free the blocks of an answered request that the worker never copied.
 
-        A block that the worker has done with may carry the array of a later request already: hence the tickets.
+        A block that the worker has freed may already hold the array of a later request: hence the tickets.
         """
         for _, _, block, ticket in self._used:
             if ticket in tickets and self._map[_STATES + block] == _SENT:
                 self._map[_STATES + block] = _FREE
 
     def close(self) -> None:
-        """Let go of the memory; closing twice is fine."""
+        """Unmap the memory and close the file; further calls have no effect."""
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
             self._map.close()
 
     def _gap(self, size: int) -> int | None:
-        """Return the lowest offset with `size` free bytes: memory that is in the processor's cache still."""
+        """Return the lowest offset with `size` free bytes, whose memory is most likely in the processor's cache."""
         states = self._map
         kept, start, found = [], _DATA, None
         for entry in self._used:
@@ -209,7 +209,7 @@ class Arena:
         return found
 
     def _reserve(self, end: int) -> bool:
-        """Take memory up to `end` from the system: to write where there is none would end the process."""
+        """Allocate memory up to `end`; a write to memory that is not allocated would end the process."""
         if end > self._taken_to:
             new_end = min(self._size, end + -end % _GRAIN)
             try:
@@ -223,15 +223,15 @@ class Arena:
 class Window:
     """The worker's side: copies arrays out of the blocks.
 
-    It reads the file and does not map it: the client may shrink the file at any time, and who then looks at what is
-    mapped is ended by a signal. What was copied does not change any more either.
+    It reads the file and does not map it: the client may shrink the file at any time, and a signal ends a process that
+    reads mapped memory beyond its end. The client cannot change a copy either.
 
     Args:
         path: the file.
-        size: its size.
+        size: its size, bytes.
 
     Raises:
-        SegmentError: if it cannot be opened, or is smaller.
+        SegmentError: the file cannot be opened, or is smaller.
     """
 
     def __init__(self, path: str, size: int) -> None:
@@ -245,7 +245,7 @@ class Window:
             raise SegmentError(f"shared memory {path} is smaller than the {size} bytes that were named")
 
     def finder(self) -> Find:
-        """Return what finds the arrays of one request: together they take no more than the memory has."""
+        """Return a function that reads the arrays of one request; it limits their total size to that of the memory."""
         left = self._size
 
         def find(block: Any, offset: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
@@ -260,10 +260,17 @@ class Window:
         return find
 
     def find(self, block: Any, offset: Any, dtype: np.dtype[np.generic], shape: Any) -> np.ndarray:
-        """Return a read-only copy of the array at a block and an offset, and free the block.
+        """Return a read-only copy of an array in shared memory, and free its block.
+
+        Args:
+            block: index of the block.
+            offset: offset of the array in the file, bytes.
+            dtype: its dtype.
+            shape: its shape, a list of sizes.
 
         Raises:
-            PackingError: if there is none.
+            PackingError: no sent block has this index, the array is not inside the memory, or the file has shrunk.
+            ArrayError: bytes and dtype do not make an array.
         """
         size = size_of(shape) * dtype.itemsize
         fits = type(offset) is int and type(block) is int and _DATA <= offset <= offset + size <= self._size
@@ -283,6 +290,10 @@ def _check_own(file: int) -> None:
 
 
 def _take(file: int, start: int, length: int) -> None:
-    """Have the system set memory aside; OSError if there is none."""
+    """Allocate memory for a part of a file.
+
+    Raises:
+        OSError: the system has not enough memory.
+    """
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file, start, length)

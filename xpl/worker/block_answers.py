@@ -29,7 +29,7 @@ _MOST_BYTES = 256 << 20
 
 
 def why_converts_in_code(model: Any) -> str | None:
-    """Return why a model does not convert by its model_io block alone, None if it does."""
+    """Return the reason why a model does not convert by its model_io block alone; None if it does."""
     if not isinstance(model, Policy) or model.interface is None:
         return "the adapter has no model_io block"
     own = [name for name in ("encode", "decode") if getattr(type(model), name) is not getattr(Policy, name)]
@@ -55,7 +55,16 @@ class BlockAnswers:
         self._folders = checkpoint.folders(model.config, model.policy_dir)
 
     def answers(self, blocks: Sequence[Entry], calls: Sequence[Mapping[str, Any]], seconds: float) -> Iterator[bytes]:
-        """Yield the answers under each block, packed, as far as the seconds reach."""
+        """Yield the answers under each block, packed; stop at the time limit.
+
+        Args:
+            blocks: edited model_io blocks.
+            calls: maps with `reset`, `show`, pairs of environment and observation, and `ask`, environments.
+            seconds: time limit, s; a block that was begun is finished.
+
+        Yields:
+            a result, the list of the chunks of all inferences, or an error of the adapter under this block.
+        """
         model, until = self._model, time.monotonic() + seconds
         own, predicts = model.interface, model.predict
         if self._remembers:
@@ -94,11 +103,11 @@ def replay_from_start(model: Policy, calls: Sequence[Mapping[str, Any]]) -> Iter
 
 
 class _AnswerCache:
-    """Cache of a model's answers to equal inputs: an edit of the action part needs no inference.
+    """Cache of a model's outputs by input: an edit of the action part needs no inference.
 
-    Equal inputs have equal answers if nothing is drawn. A model that draws from the generators of its environments has
-    equal ones if all inputs since its beginning are equal; its generators are then as after the answer. One that draws
-    from elsewhere is asked each time.
+    A deterministic model gives equal outputs for equal inputs. One that samples from the generators of its environments
+    does if all inputs since `begin` are equal; the cache then sets the generators to their state after the output. A
+    model that samples from other generators runs each time.
     """
 
     def __init__(self, model: Policy, *, seeded: bool) -> None:
@@ -108,11 +117,11 @@ class _AnswerCache:
         self._before = ""
 
     def begin(self) -> None:
-        """Begin from the state after loading."""
+        """Return to the state after loading."""
         self._before = ""
 
     def predict(self, inputs: Any, envs: list[int]) -> Any:
-        """Return the model's answer, from the cache if possible."""
+        """Return the model's output, from the cache if possible."""
         key = _digest(inputs)
         if self._seeded:
             key = self._before = _digest({"before": self._before, "now": key, "envs": tuple(envs)})
@@ -154,7 +163,7 @@ class _ImageCache:
         self._held = 0
 
     def take_over(self, interface: Interface, block: Entry) -> None:
-        """Have inputs of an interface that are as in the first block look here first."""
+        """Let the image inputs of an interface that are as in the first block use the cache."""
         for item, entry in zip(interface.images, block.get("images", ())):
             text = json.dumps(entry, sort_keys=True)
             if text in self._entries:

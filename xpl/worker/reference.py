@@ -1,14 +1,14 @@
 """Runs a package's reference.py on scripted episodes: a subprocess task in the policy's interpreter.
 
 reference.py defines `answers(config)`, which returns `answer(episode)`: the action steps of the standard that the
-authors' own code gives for an episode so far. It imports neither `xpl` nor model.py: an adapter that answers for the
-model would be compared with itself. The audit reads that in its text; here an import of either is an error of the line
-that imports.
+authors' own code gives for an episode so far. It must import neither `xpl` nor model.py: the adapter would be compared
+with itself. The audit checks that in its text; here an import of either raises at the line that imports.
 
     {"policy_dir", "config", "file", "function", "conventions", "embodiment", "action_type", "seed", "takes", "rounds",
      "calls": [{"reset": true} | {"show": [[environment, observation], ...]} | {"ask": [environment, ...]}, ...]}
-    one map for the load, one for each call that asks, round by round, and one with what answered: a "result" or an
-    "error". The result of a question is, for each environment, a list of takes, each a list of action steps.
+    one map for the load, one for each call with "ask", round by round, and one with the provenance of the code: a
+    "result" or an "error". The result of such a call is, for each environment, a list of takes, each a list of action
+    steps.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 _SDK = "xpl"
 MOST_STEPS = 10_000
-"""Of one answer, looked at before any is checked or copied."""
+"""Most action steps of one answer, checked before they are validated or copied."""
 _MOST_LIBRARIES = 64
 _MOST_FILES = 500
 _INSTALLED = {"site-packages", "dist-packages"}
@@ -76,11 +76,17 @@ class ReferenceEpisode:
 
 
 def load(folder: Path, file: str, function: str, config: Config) -> tuple[ModuleType, Answer]:
-    """Import reference.py of a package and return it, and what answers.
+    """Import reference.py of a package; return the module, and its function of an episode.
+
+    Args:
+        folder: folder of the package.
+        file: name of the file in it.
+        function: name of the function in it that takes the configuration and returns the function of an episode.
+        config: configuration of the policy; the function gets a copy.
 
     Raises:
-        LoadError: if the file or its function is missing, or makes nothing that can be called.
-        ReferenceImportError: if it imports the SDK or the adapter.
+        LoadError: the file or its function is missing, or the function returns nothing callable.
+        ReferenceImportError: the file imports the SDK or the adapter.
     """
     path = folder / file
     ecosystem.offer(folder)
@@ -102,7 +108,12 @@ def load(folder: Path, file: str, function: str, config: Config) -> tuple[Module
 
 
 def play(answer: Answer, order: TaskRequest) -> Iterator[bytes]:
-    """Show and ask as the order says, and yield the answers of each question, packed."""
+    """Run the calls of a request and yield the packed answers of each call with `ask`.
+
+    Args:
+        answer: the reference's function of an episode.
+        order: the request; see the module's documentation.
+    """
     robot = get_embodiment(order["embodiment"])
     for _ in range(order["rounds"]):
         episodes: dict[int, ReferenceEpisode] = {}
@@ -137,7 +148,7 @@ def _answer_episodes(
 def _steps(
     answer: Answer, episode: ReferenceEpisode, robot: Embodiment, action_type: str
 ) -> list[dict[str, np.ndarray]]:
-    """Return the action steps of one answer, checked; reference code may write to what it is shown."""
+    """Return the validated action steps of one answer; the reference gets a copy, to which it may write."""
     copied = ReferenceEpisode.__new__(ReferenceEpisode)
     copied.__dict__.update(vars(episode), observations=copy_value(episode.observations), asked=list(episode.asked))
     steps = answer(copied)
@@ -148,17 +159,17 @@ def _steps(
 
 
 def _own_lines(error: BaseException, folder: Path) -> str:
-    """Return where in the package an error arose, innermost last."""
+    """Return the lines of the package in an error's traceback, innermost first."""
     frames = traceback.extract_tb(error.__traceback__)
     own_frames = [frame for frame in frames if Path(frame.filename).is_relative_to(folder)]
     return " < ".join(f"{Path(frame.filename).name}:{frame.lineno}" for frame in reversed(own_frames))
 
 
-# -- what reference.py must not import ---------------------------------------------------------------------------------
+# -- imports that are blocked ------------------------------------------------------------------------------------------
 
 
 def _block_imports(folder: Path) -> None:
-    """Make imports of the adapter, from wherever, and of the SDK, from files of the package, errors."""
+    """Make any import of the adapter, and imports of the SDK by files of the package, raise an error."""
     sys.meta_path.insert(0, _AdapterImportBlocker(folder))
     real = builtins.__import__
 
@@ -178,13 +189,13 @@ def _block_imports(folder: Path) -> None:
 
 
 class _AdapterImportBlocker(MetaPathFinder):
-    """Finds model.py of the package under any name, and refuses it."""
+    """Refuses to import model.py of the package, under any module name."""
 
     def __init__(self, folder: Path) -> None:
         self._model = (folder / spec.File.MODEL_PY).resolve()
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """Return None for whatever is not the adapter: others find that."""
+        """Return None for any module but the adapter; other finders handle those."""
         if name.rpartition(".")[2] != self._model.stem:
             return None
         found = PathFinder.find_spec(name, path, target)
@@ -196,15 +207,15 @@ class _AdapterImportBlocker(MetaPathFinder):
         return None
 
 
-# -- what answered ----------------------------------------------------------------------------------------------------
+# -- provenance of the answers -----------------------------------------------------------------------------------------
 
 
 def provenance(folder: Path, module: object, conventions: str) -> dict[str, Any]:
     """Return digests of the files of the package and of the authors' code that were imported, and all versions.
 
     Args:
-        folder: of the package.
-        module: reference.py.
+        folder: folder of the package.
+        module: the module of reference.py.
         conventions: name of its map of citations: an imported package that they name is the authors' code.
     """
     citations = getattr(module, conventions, None)
@@ -242,8 +253,8 @@ def code_digest(path: Path, left_out: str | None = None) -> str:
 
     Args:
         path: the file.
-        left_out: a name; what gives it a value at the top of the file does not count, such as citations, which change
-            no answer.
+        left_out: name whose top-level assignments are left out, such as that of the citations, which change no
+            answer.
     """
     content = path.read_bytes()
     if left_out is not None:
@@ -257,12 +268,12 @@ def code_digest(path: Path, left_out: str | None = None) -> str:
 
 
 def _is_environment(path: Path) -> bool:
-    """Tell whether a file belongs to a Python environment inside the package, which is not the package's."""
+    """Return whether a file belongs to a Python environment inside the package, not to the package itself."""
     return any(part in _INSTALLED or part.startswith(".") for part in path.parts[:-1])
 
 
 def main(request_path: str, answers: str) -> NoReturn:
-    """Ask as one file says, write the answers to another, and end."""
+    """Answer the request in a file, and end the process."""
     run_once(request_path, answers, _all)
 
 

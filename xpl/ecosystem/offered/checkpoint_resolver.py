@@ -1,4 +1,4 @@
-"""Where a checkpoint may lie, by the names that adapters of the field call; `xpl.checkpoint` has the order."""
+"""Candidate paths of a checkpoint, by the function names that adapters call; `xpl.checkpoint` defines the order."""
 
 from __future__ import annotations
 
@@ -40,7 +40,16 @@ def candidate_checkpoint_roots(  # noqa: PLR0913 - as adapters call it
     include_seed: bool = True,
     resolve: bool = True,
 ) -> list[Path]:
-    """Return where a checkpoint may lie, the first choice first, each place once; whether it does is not looked at."""
+    """Return the candidate paths of a checkpoint, first choice first, each once, whether they exist or not.
+
+    Args:
+        model_cfg: configuration of the model.
+        checkpoints_dir: folder of checkpoints, which the run name and `ckpt_name` are relative to.
+        policy_dir: folder that other relative paths start from; the parent of `checkpoints_dir` by default.
+        explicit_keys: keys of the configuration that hold a path; they come first.
+        include_seed: whether the run name ends with the seed.
+        resolve: whether paths are made absolute, with symbolic links resolved.
+    """
     folder = Path(checkpoints_dir)
     base = folder.parent if policy_dir is None else Path(policy_dir)
     found = [base / Path(_text(model_cfg[key])).expanduser() for key in explicit_keys if _text(model_cfg.get(key))]
@@ -62,10 +71,18 @@ def resolve_checkpoint_root(  # noqa: PLR0913 - as adapters call it
     include_seed: bool = True,
     must_exist: bool = True,
 ) -> Path:
-    """Return the first place that is there, or the first of all if it need not be there.
+    """Return the first candidate path that exists.
+
+    Args:
+        model_cfg: configuration of the model.
+        checkpoints_dir: folder of checkpoints, which the run name and `ckpt_name` are relative to.
+        policy_dir: folder that other relative paths start from; the parent of `checkpoints_dir` by default.
+        explicit_keys: keys of the configuration that hold a path; they come first.
+        include_seed: whether the run name ends with the seed.
+        must_exist: whether a missing checkpoint is an error; if not, the first candidate is returned.
 
     Raises:
-        CheckpointError: if nothing is there, or nothing is configured.
+        CheckpointError: no candidate exists and `must_exist` is set, or the configuration names no checkpoint.
     """
     places = candidate_checkpoint_roots(
         model_cfg, checkpoints_dir, policy_dir=policy_dir, explicit_keys=explicit_keys, include_seed=include_seed

@@ -61,8 +61,8 @@ def pack_robot_state(
         state_type: key of the state.
 
     Raises:
-        KeyError: if a value is not there.
-        ValueError: if one has another width.
+        KeyError: the state lacks a key.
+        ValueError: a value has another width.
     """
     state, parts = obs[state_type], []
     for key, width in _layout(action_type, robot_action_dim_info, source_type):
@@ -80,10 +80,20 @@ def pack_robot_state(
 def unpack_robot_state(
     packed_state: Any, action_type: str, robot_action_dim_info: Mapping[str, Any], source_type: str = _OBS
 ) -> Any:
-    """Return named values of a vector (D,), of a chunk (H, D) as a list, or of a trajectory (..., D) as one map.
+    """Return the values of a packed vector by key, (..., width) each.
+
+    Args:
+        packed_state: (D,) or (H, D) with "obs", (..., D) with "dataset"; units of the standard.
+        action_type: "joint" or "ee".
+        robot_action_dim_info: `arm_dim` and `ee_dim`, a list with one entry per arm each.
+        source_type: "obs" for keys of observations, "dataset" for those of trajectories, which are plural.
+
+    Returns:
+        one map; a list of H maps for a chunk (H, D) with "obs".
 
     Raises:
-        ValueError: if the vector has another width.
+        ValueError: the last axis has another width, there are more axes than `source_type` allows, or another
+            argument is not as above.
     """
     packed = np.asarray(packed_state)
     layout = list(_layout(action_type, robot_action_dim_info, source_type))

@@ -1,4 +1,4 @@
-"""Changes of how encoded pictures got their size."""
+"""Changes of how encoded images were resized."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
 
 _CROPS = (1.0, *FRACTIONS, 0.95**0.5, 0.8**0.5, 0.9**2, 0.8**2)
-"""What an adapter may cut out of what it is shown."""
+"""Fractions of an image that an adapter may crop."""
 
 
 def sizes(value: object) -> list[tuple[int, int]]:
-    """Return height and width of one camera's picture in encoded inputs, each once; two in one count by themselves."""
+    """Return height and width of one camera's image in encoded inputs, each once; images that are joined are split."""
     image_sizes = []
     for array in leaves(value):
         axis = channel_axis(array)
@@ -35,7 +35,13 @@ def sizes(value: object) -> list[tuple[int, int]]:
 
 
 def whole(steps: Sequence[Entry], size: Sequence[int], shape: Sequence[int]) -> list[dict[str, Any]]:
-    """Return steps of a geometry with the sizes that a picture of a shape gets; `square` cuts out its middle."""
+    """Return the steps of a geometry with their sizes for an image of one shape.
+
+    Args:
+        steps: steps of a model_io block, without `to`; `square` crops the middle.
+        size: height and width after a resize or a letterbox, pixels.
+        shape: height and width of the image, pixels; further axes are not read.
+    """
     images = []
     for step in steps:
         for kind, how in step.items():
@@ -47,14 +53,14 @@ def whole(steps: Sequence[Entry], size: Sequence[int], shape: Sequence[int]) -> 
 
 
 class ResizedInputs:
-    """Shows pictures that already have the model's size, so that what the adapter does to the size has no effect.
+    """Resizes images to the model's size before the adapter does, so that the adapter's resize has no effect.
 
     Args:
-        encode: the adapter's.
+        encode: the adapter's `encode`.
         sample: an observation.
 
     Raises:
-        NoEffectError: if it does not see through to the adapter's pictures: other sizes, other ways to cut them.
+        NoEffectError: the adapter changes the pixels of images that have the model's size.
     """
 
     def __init__(self, encode: EncodeOne, sample: Observation) -> None:
@@ -69,7 +75,7 @@ class ResizedInputs:
         raise NoEffectError("the adapter changes pictures that have the model's size")
 
     def __call__(self, obs: Observation, steps: Sequence[Entry]) -> dict[str, Any]:
-        """Return an observation with such pictures; steps are a geometry in words of a model_io block, without `to`."""
+        """Return an observation with resized images; steps are those of a model_io block, without `to`."""
         vision = obs[spec.Obs.VISION]
         entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8"}
         seen = {}
@@ -81,7 +87,7 @@ class ResizedInputs:
         return {**obs, spec.Obs.VISION: seen}
 
     def _framed(self, view: np.ndarray) -> np.ndarray:
-        """Return a picture whose middle, as much as the adapter cuts out, is this one."""
+        """Return a larger image, black around this one, from which the adapter's crop cuts this one."""
         size = np.array(view.shape[:2])
         whole = np.ceil(size / self._cut).astype(int)
         top, left = (whole - size) // 2
@@ -90,7 +96,7 @@ class ResizedInputs:
         return frame
 
     def _is_seen_through(self, encode: EncodeOne, sample: Observation) -> bool:
-        """Tell whether the encoded pictures have the very pixels that were shown, scaled and in whatever place."""
+        """Return whether the encoded images have the pixels of the observed ones, scaled, in any order."""
         height, width = self._size
         levels = np.arange(height * width) * 256 // (height * width)
         rng = np.random.default_rng(0)
@@ -104,7 +110,7 @@ class ResizedInputs:
 
 
 def _has_levels(array: np.ndarray, levels: np.ndarray) -> bool:
-    """Tell whether each channel (..., 3) has each level equally often, but for a scale and an offset."""
+    """Return whether each channel (..., 3) has each level equally often, up to a scale and an offset."""
     for channel in array.reshape(-1, 3).T.astype(np.float64):
         if channel.size % levels.size:
             return False
@@ -117,7 +123,7 @@ def _has_levels(array: np.ndarray, levels: np.ndarray) -> bool:
 
 
 def apart(one: object, other: object) -> float:
-    """Return how far the pictures of two encoded values are apart: the mean of their differences, by their range."""
+    """Return the largest distance of the images of two encoded values: mean absolute difference over range."""
     first, second = ([array for array in leaves(value) if channel_axis(array) is not None] for value in (one, other))
     if [array.shape for array in first] != [array.shape for array in second]:
         return float("inf")
