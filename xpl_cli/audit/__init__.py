@@ -1,4 +1,4 @@
-"""The audit: rules that prove requirements of the standard, cheapest gate first.
+"""The audit: runs the rules of `conformance/GATE/NAME/rule.py`, cheapest gate first.
 
 A rule imports from here and nowhere else in the engine:
 

@@ -1,1 +1,1 @@
-"""Readers for the static gate's rules: files, syntax trees, shell scripts; nothing is executed."""
+"""Readers for the rules of `conformance/static`: files, syntax trees, shell scripts; nothing is executed."""
