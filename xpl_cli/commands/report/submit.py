@@ -34,7 +34,7 @@ def submit(
     runs: list[Path] = typer.Argument(..., metavar="RUN...", help="Folders that `xpl eval --out` wrote."),
     check: bool = typer.Option(False, "--check", help="Check what a submission needs, and write the bundle."),
     out: Path | None = typer.Option(None, metavar="FILE", help="Bundle file; default: POLICY.xpl.zip."),
-    extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Pack these, too: trace, film."),
+    extras: list[str] = typer.Option([], "--with", metavar="KIND", help="Also pack: trace, film."),
     python: str | None = PYTHON,
     policy_env: str | None = POLICY_ENV,
     eval_env: str | None = _EVAL_ENV,

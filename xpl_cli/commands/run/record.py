@@ -25,7 +25,7 @@ _IMAGES = "Size, own or none; default: the policy's or own."
 
 @exit_codes(
     clean="the set is complete",
-    findings="fewer episodes than wanted",
+    findings="fewer episodes than requested",
     not_found="environment, task or policy not found",
 )
 def record(

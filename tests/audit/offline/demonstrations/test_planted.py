@@ -124,7 +124,7 @@ def test_the_page_says_what_was_measured(every: list[Subject]) -> None:
 
 @pytest.mark.slow
 def test_a_mistake_in_tiny_vla_is_named_once_more(tmp_path: Path) -> None:
-    """Recorded anew, judged anew: a mistake is named, and the right adapter is not accused."""
+    """Recorded anew, judged anew: a mistake is named, and the correct adapter is not flagged."""
     python = next((one for one in PYTHONS if one and Path(one).exists()), None)
     if python is None:
         pytest.skip("no Python with torch: `xpl install policy/Tiny_VLA`, or name one in XPL_TORCH_PYTHON")

@@ -146,10 +146,10 @@ def tables(rows: list[Row]) -> str:
         cells = [_rate(first["all"]), _rate(first["told"]), _rate(after["all"]), _rate(after["told"])]
         lines.append(f"| {words} | {' | '.join(cells)} |")
     right = [row for row in rows if row["mistake"] == RIGHT]
-    accused = [row for row in right if (row["after"] or row["first"])["words"]]
+    flagged = [row for row in right if (row["after"] or row["first"])["words"]]
     lines += [
         "",
-        f"Correct adapters accused: {len(accused)} of {len(right)}, too few for a rate.",
+        f"Correct adapters flagged as wrong: {len(flagged)} of {len(right)}, too few for a rate.",
         "",
         *_counts(rows),
         "",
@@ -274,7 +274,7 @@ def _parity(row: Row) -> str:
 def _demonstrations(row: Row) -> str:
     told = row["after"] or row["first"]
     if row["mistake"] == RIGHT:
-        return f"accused: `{_quoted(told['words'])}`" if told["words"] else "fits"
+        return f"flagged: `{_quoted(told['words'])}`" if told["words"] else "fits"
     if told["right"]:
         later = " (second search)" if row["first"] is not None and not row["first"]["right"] else ""
         return f"`{_quoted(told['words'])}`{later}"
