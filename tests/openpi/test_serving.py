@@ -167,7 +167,7 @@ def test_a_token_is_asked_for_here_too(subject: Path, tmp_path: Path) -> None:
 def test_what_openpi_cannot_be_told_is_refused_before_the_model_loads(subject: Path, tmp_path: Path) -> None:
     done = xpl("serve", subject, "--port", "0", *ALSO, folder=tmp_path)
     assert (done.code, done.stdout) == (2, "")
-    assert "`openpi` in deploy.yml has to say what its names mean, for example {style: droid}" in done.stderr
+    assert "set `openpi` in deploy.yml, which maps its names to inputs, for example {style: droid}" in done.stderr
 
 
 LIBERO = {"env_cfg_type": "franka_single", "action_type": "joint", "openpi": {"style": "libero"}}
@@ -198,5 +198,5 @@ def test_an_entrance_has_the_port_that_was_asked_for() -> None:
 
 
 def test_names_that_lead_nowhere_are_refused() -> None:
-    with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must stand for"):
+    with pytest.raises(UserError, match=r"--also openpi: .*images.cam_left_wrist must map to"):
         extra_endpoints(["openpi"], {**LIBERO, "openpi": {"style": "aloha"}}, Manifest(), {})

@@ -290,7 +290,7 @@ def test_a_client_that_leaves_or_resets_disturbs_nobody(sharing: RunningServer) 
     ("model", "problem"),
     [
         ("class Model:\n    def __init__(self, config): pass", "has no .*reset_envs: derive it from xpl.Policy"),
-        (SHARED + "\n        def prepare_case(self, case): pass", "prepare_case cannot tell one client from another"),
+        (SHARED + "\n        def prepare_case(self, case): pass", "prepare_case cannot distinguish clients"),
     ],
 )
 def test_a_model_that_cannot_be_shared_is_refused(write_adapter: Callable[..., Path], model: str, problem: str) -> None:

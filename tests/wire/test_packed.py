@@ -211,7 +211,7 @@ def test_large_arrays_may_lie_in_shared_memory() -> None:
     assert [array.nbytes for array in shelf] == [threshold, 4 * threshold]
     assert len(whole) < threshold + 8 * threshold + 1000
     assert same(packed.decode(whole, find), value)
-    with pytest.raises(PackingError, match="none was agreed on"):
+    with pytest.raises(PackingError, match="agreed on none"):
         packed.decode(whole)
 
 

@@ -289,7 +289,7 @@ def test_a_failure_is_described_without_our_own_frames(worker: Process, write_ad
         (request("update_obs", [1]), "a map; got list"),
         (raw("get_action", [1]), "must be a map, got list"),
         (request("get_action")._replace(payload=b"XPL1"), "begins with 16 bytes"),
-        (raw("update_obs", {"obs": {"a": np.zeros(5000)}}, place=lambda _: (0, 4096)), "none was agreed on"),
+        (raw("update_obs", {"obs": {"a": np.zeros(5000)}}, place=lambda _: (0, 4096)), "agreed on none"),
     ],
 )
 def test_a_request_that_is_wrong_is_refused(worker: Process, echo: Path, asked: WorkerRequest, says: str) -> None:
@@ -436,7 +436,7 @@ def test_a_shared_model_answers_clients_together(worker: Process, write_adapter:
     [
         ("update_obs_batch = get_action_batch = print", [], "has no reset_envs"),
         ("def reset_envs(self, envs): pass", [], "has no update_obs_batch, get_action_batch"),
-        ("def prepare_case(self, case): pass", [], "prepare_case cannot tell one client from another"),
+        ("def prepare_case(self, case): pass", [], "prepare_case cannot distinguish clients"),
         ("def on_trial_end(self, case): pass", [], "on_trial_end cannot tell"),
         ("def about(self): pass", ["about"], "about cannot tell"),
     ],

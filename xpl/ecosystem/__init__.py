@@ -1,8 +1,8 @@
-"""What the ecosystem's own package offers adapters: found where a checkout is there, and offered by us where none is.
+"""Modules and files of the ecosystem's package for adapters: from a checkout, or xpl's replacements if there is none.
 
-Adapters of the field import `XPolicyLab`, read its `env_cfg`, and rely on what their scripts put on Python's path. Here
-is what makes them load as they stand: `checkout` finds the real thing, `offering` and `robots` give what lacks, and
-`scripts` reads paths.
+Adapters of XPolicyLab import `XPolicyLab`, read its `env_cfg`, and rely on folders that their scripts add to Python's
+path. This package lets them load unchanged: `checkout` finds a real checkout, `module_finder` and `robots` replace
+missing modules and files, and `scripts` reads paths.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from xpl.ecosystem import checkout
 
 
 def offer(policy_dir: Path) -> None:
-    """Let this process import an adapter as its own server would: from a checkout that is there, or without one.
+    """Let this process import an adapter as its own server would, with a checkout or without one.
 
-    Folders come onto the path in the order of the ecosystem's server: the checkout, then what the adapter's scripts put
-    there. The folder that holds the checkout does not: whatever lies beside it would hide other packages.
+    Folders are added to `sys.path` in the order of the ecosystem's server: the checkout, then the folders that the
+    adapter's scripts add. The parent of the checkout is not: its other folders would hide packages.
 
     Args:
-        policy_dir: folder of the adapter. One that never speaks of the ecosystem is left as it is.
+        policy_dir: folder of the adapter. Nothing changes for an adapter that does not use the ecosystem.
     """
     names = checkout.names(policy_dir)
     if not names:

@@ -1,4 +1,4 @@
-"""The ecosystem's checkout that an adapter lies in."""
+"""The ecosystem's checkout that contains an adapter."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _POLICIES = "policy"
 
 
 def root_of(policy_dir: Path) -> Path:
-    """Return the folder that is the checkout's root, if the adapter lies in one: two above it."""
+    """Return the folder two levels above an adapter: the checkout's root, if the adapter is in a checkout."""
     return policy_dir.parent.parent
 
 
 def find_root(policy_dir: Path) -> Path | None:
-    """Return the root of the real checkout that an adapter lies in, whatever its folder is called; None if in none."""
+    """Return the root of the checkout that contains an adapter, whatever its name; None if there is none."""
     root = root_of(policy_dir)
     return root if policy_dir.parent.name == _POLICIES and (root / _MARK).is_file() else None
 
 
 def names(policy_dir: Path) -> frozenset[str]:
-    """Return what an adapter calls the ecosystem's package; empty if it never speaks of it.
+    """Return the names by which an adapter imports the ecosystem's package; empty if it does not.
 
-    That is its name or, in a checkout of another name, that of the folder. Vendored modules do not count.
+    They are the package's name and, in a checkout of another name, that of its folder. Vendored modules do not count.
     """
     texts = {path.name: _text(path) for path in policy_dir.glob("*.py")}
     called = {
@@ -48,6 +48,6 @@ def _text(path: Path) -> str:
 
 
 def _is_imported(root: Path, text: str) -> bool:
-    """Tell whether code imports a part of a checkout by the name of its folder."""
+    """Return whether code imports a part of a checkout by the name of its folder."""
     wanted = re.compile(rf"^\s*(?:from|import)\s+{root.name}(?:\.|\s+import\s+)(\w+)", re.MULTILINE)
     return any((root / part).is_dir() or (root / f"{part}.py").is_file() for part in wanted.findall(text))

@@ -1,8 +1,8 @@
-"""The folder `env_cfg` of a benchmark, which names each configuration's robot and its dimensions, where there is none.
+"""Replacement of a benchmark's folder `env_cfg`, which names each configuration's robot and its dimensions.
 
-Benchmarks keep it beside the checkout. Adapters and the ecosystem's helpers read files of it by path. Where it is
-absent, the same files are written from the standard's robots into a folder of our own, and what is asked of the absent
-one is looked up there. A folder that exists is left alone, and so is every other path.
+Benchmarks keep the folder beside the checkout. Adapters and the ecosystem's helpers read its files by path. If it is
+absent, this module writes the same files from the standard's robots into a temporary folder, and redirects accesses of
+the absent one to it. It changes neither a folder that exists nor any other path.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ _SIM = "xpl"
 
 
 def offer(policy_dir: Path) -> list[Path]:
-    """Have what is read of absent folders `env_cfg` around a checkout come from the standard; return the folders.
+    """Redirect reads of absent folders `env_cfg` to files of the standard's robots; return the absent folders.
 
-    One lies beside the checkout, where benchmarks keep it, and one within, where some adapters look.
+    One is beside the checkout, where benchmarks keep it, and one inside, where some adapters expect it.
     """
     root = checkout.root_of(policy_dir.resolve())
     absent = [place for place in (root.parent / checkout.ENV_CFG, root / checkout.ENV_CFG) if not place.exists()]
@@ -39,8 +39,8 @@ def offer(policy_dir: Path) -> list[Path]:
     return absent
 
 
-_answered: dict[str, str] = {}  # absent folders, and where their files are
-_led_already: list[str] = []  # names of the functions that look there
+_answered: dict[str, str] = {}  # replacement folder by absent folder
+_led_already: list[str] = []  # names of the redirected functions
 
 
 def _written() -> str:
@@ -68,7 +68,7 @@ def _written() -> str:
 
 
 def _redirect() -> None:
-    """Put ourselves before the few functions by which files are opened and looked for; once."""
+    """Wrap the functions that open files and list folders; once."""
     if _led_already:
         return
     for module, name in ((builtins, "open"), (io, "open"), (os, "stat"), (os, "listdir"), (os, "scandir")):
@@ -84,13 +84,13 @@ def _redirected(real: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _redirect_path(path: object) -> Any:
-    """Return where a path leads: into our folder if it lies in an absent one."""
+    """Return the path itself, or the one in the replacement folder if it is in an absent one."""
     if not isinstance(path, (str, os.PathLike)):
         return path
     text = os.fspath(path)
     if not isinstance(text, str) or checkout.ENV_CFG not in text:
         return path
-    whole = os.path.abspath(text)  # noqa: PTH100 - must not look at the disk, which leads here
+    whole = os.path.abspath(text)  # noqa: PTH100 - `resolve` would call the redirected functions
     for absent, folder in _answered.items():
         if whole == absent or whole.startswith(absent + os.sep):
             return folder + whole[len(absent) :]

@@ -1,7 +1,7 @@
-"""Folders that an adapter's own scripts put on Python's path, read from the scripts; nothing is run.
+"""Folders that an adapter's own scripts add to Python's path, read from the scripts; nothing is run.
 
-A small part of the shell is understood: assignments, `cd`, defaults such as `${X:-here}`, the usual ways to say "the
-folder of this script", and what ends up in `PYTHONPATH` or behind `pip install`. What is not understood is left out.
+The reader understands a small part of the shell: assignments, `cd`, defaults such as `${X:-here}`, the usual
+expressions for the folder of the script, values of `PYTHONPATH` and arguments of `pip install`. It skips the rest.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from xpl import _spec as spec
 _SERVER = spec.File.SETUP_EVAL_POLICY_SERVER_SH
 _SCRIPTS = (spec.File.INSTALL_SH, _SERVER)  # in the order in which they are run
 _PATH = "PYTHONPATH"
-_MARKS = ("pyproject.toml", "setup.py", "setup.cfg")  # what makes a folder installable
+_MARKS = ("pyproject.toml", "setup.py", "setup.cfg")  # files of an installable folder
 _SOURCES = "src"
 _LARGEST = 1 << 20
 
@@ -41,9 +41,9 @@ _SETS_UP = re.compile(r"\b(?:uv|poetry)\s+(?:sync|install)\b")
 
 
 def python_path(policy_dir: Path) -> list[Path]:
-    """Return the folders of an adapter that its scripts put on Python's path, those that come first there first.
+    """Return the folders of an adapter that its scripts add to Python's path, in the order of the path.
 
-    Only folders that are there, and that lie in the adapter's own, are returned.
+    Only existing folders inside the adapter's folder are returned.
     """
     home = policy_dir.resolve()
     installed: list[Path] = []
@@ -57,20 +57,20 @@ def python_path(policy_dir: Path) -> list[Path]:
 
 
 def settings(policy_dir: Path, arguments: Sequence[str]) -> dict[str, str]:
-    """Return what the script that starts the server overrides of deploy.yml, as far as it can be read.
+    """Return the keys of deploy.yml that the server's start script overrides, as far as they can be read.
 
     Args:
-        policy_dir: the adapter's folder.
-        arguments: what the script is called with, in order.
+        policy_dir: folder of the adapter.
+        arguments: arguments of the script, in order.
 
     Returns:
-        values as text, by key; none that is empty, or that depends on what only a running shell knows.
+        values as text, by key; without empty values and those that only a running shell can compute.
     """
     return _ScriptReader(policy_dir.resolve(), _SERVER, arguments).settings()
 
 
 class _ScriptReader:
-    """Reads one script from its first to its last line, as if every line of it were run."""
+    """Reads one script from its first to its last line, as if the shell ran every line."""
 
     def __init__(self, home: Path, name: str, arguments: Sequence[str] = ()) -> None:
         self._home = home
@@ -87,7 +87,7 @@ class _ScriptReader:
             self._lines = []
 
     def folders(self) -> Iterator[tuple[Path, bool]]:
-        """Yield each folder, and whether it is there because what lies in it is installed."""
+        """Yield each folder, and whether the script installs the folder's packages."""
         for line in self._lines:
             if not line.lstrip().startswith("#"):
                 yield from self._on_path(line)
@@ -121,12 +121,12 @@ class _ScriptReader:
                 yield from self._path_entry(part)
 
     def _remember(self, line: str) -> None:
-        """Take in what a line assigns, and where it goes."""
+        """Remember the assignment of a line and its change of folder."""
         assigned = _ASSIGNED.match(line)
         if assigned is not None and assigned["name"] != _PATH:
             value = self._expanded(_bare(assigned["value"]))
             if (value and "$" not in value) or not self._values.get(assigned["name"]):
-                self._values[assigned["name"]] = value  # of several branches the last one, which is the usual one
+                self._values[assigned["name"]] = value  # of several branches the last one, usually the default
         changed = _CHANGED.match(line)
         if changed is not None:
             self._enter(self._expanded(_bare(changed["folder"])))
@@ -144,7 +144,7 @@ class _ScriptReader:
             yield self._placed(part.strip()), False
 
     def _installed(self, word: str) -> Iterator[tuple[Path, bool]]:
-        """Yield where the packages of a folder that is installed lie."""
+        """Yield the folder that contains the packages of an installed folder."""
         folder = self._placed(word.partition("[")[0])
         if "$" in word or not any((folder / mark).is_file() for mark in _MARKS):
             return
@@ -160,7 +160,7 @@ class _ScriptReader:
         return Path((self._folder / text).as_posix()).resolve()
 
     def _expanded(self, text: str) -> str:
-        """Return a text with all that is understood of it put in; the rest keeps its `$`."""
+        """Return a text with its known expressions expanded; the others keep their `$`."""
         text = _HERE.sub(lambda found: str(self._placed(str(self._home) + found["below"])), text)
         for _ in range(4):  # values that hold values
             before = text

@@ -1,4 +1,4 @@
-"""openpi's wire, both ways: its messages (`codec`), what its names mean here (`names`), and both as one (`wire`).
+"""openpi's wire, both ways: its messages (`codec`), the mapping of its names (`names`), and both together (`wire`).
 
 Source: Physical-Intelligence/openpi, packages/openpi-client (websocket_client_policy.py, msgpack_numpy.py) and
 src/openpi/serving/websocket_policy_server.py. A server sends its metadata first, then answers each observation with a

@@ -1,8 +1,8 @@
 """Messages of openpi: msgpack, an array being a map with bin keys, without I/O. Needs msgpack (extra `client`).
 
 An array is `{b"__ndarray__": True, b"data": bytes, b"dtype": dtype.str, b"shape": [...]}`, a numpy scalar
-`{b"__npgeneric__": True, b"data": value, b"dtype": dtype.str}`. Nothing is ever unpickled, and what is decoded stays
-within the limits of our own wire.
+`{b"__npgeneric__": True, b"data": value, b"dtype": dtype.str}`. Nothing is ever unpickled, and the limits of xpl's wire
+apply to decoded messages.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from xpl.wire.codec import Counting, WireError, depth, refuse_extension
 
 _ARRAY, _SCALAR, _DATA, _DTYPE, _SHAPE = b"__ndarray__", b"__npgeneric__", b"data", b"dtype", b"shape"
 _UNKNOWN = "Vc"
-"""Kinds of arrays that openpi has no form for: structures and complex numbers."""
+"""Kinds of arrays that openpi cannot encode: structures and complex numbers."""
 
 
 def pack(value: object) -> bytes:
     """Return the message of a value: maps, lists, text, numbers, flags and arrays.
 
     Raises:
-        WireError: if it holds what cannot travel.
+        WireError: a part of it cannot be sent.
     """
     import msgpack
 
@@ -40,7 +40,7 @@ def unpack(data: Data) -> Any:
     """Return the value of a message; arrays are read-only.
 
     Raises:
-        WireError: if it is not one of openpi's, or beyond the wire's limits.
+        WireError: it is no message of openpi, or over the wire's limits.
     """
     import msgpack
 
@@ -68,14 +68,14 @@ def unpack(data: Data) -> Any:
 def _outgoing(value: object) -> Any:
     array = as_array(value)
     if array.dtype.kind in _UNKNOWN:
-        raise ValueError(f"openpi knows no arrays of type {array.dtype}")
+        raise ValueError(f"openpi cannot encode arrays of type {array.dtype}")
     if isinstance(value, np.generic):
         return {_SCALAR: True, _DATA: value.item(), _DTYPE: value.dtype.str}
     return {_ARRAY: True, _DATA: array.tobytes(), _DTYPE: array.dtype.str, _SHAPE: array.shape}
 
 
 class _MessageReader(Counting):
-    """Makes values of the maps and lists of one message."""
+    """Converts the maps and lists of one message to values."""
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
         self.count(len(entries))

@@ -1,8 +1,9 @@
-"""What the names of an openpi observation and the columns of its actions mean here, both ways.
+"""Mapping between observations and actions of openpi and those of the standard, both ways.
 
-A name leads to an input by its name in policy.yml: `instruction`, `vision.CAMERA`, `state.KEY` (with the arm's prefix),
-or `state` for all of it as one vector in the order of a flat action. A dot in a name is one level deeper:
-`images.cam_high`. What has no name here is refused, never guessed; what policy.yml requires has to come.
+A name of openpi is mapped to an input as policy.yml names it: `instruction`, `vision.CAMERA`, `state.KEY` (with the
+arm's prefix), or `state` for the whole state as one vector in the order of a flat action. A dot in a name is one level
+deeper: `images.cam_high`. A name without a mapping is refused, never guessed; inputs that policy.yml requires must be
+present.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from xpl.policy import ConfigError
 if TYPE_CHECKING:
     from xpl.contract import Action, Config, Observation, ObservationDict
 
-ACTIONS = spec.Payload.ACTIONS  # named alike
-"""Where an answer holds its chunk, (H, D)."""
+ACTIONS = spec.Payload.ACTIONS  # openpi has the same name
+"""Key of an answer's action chunk, (H, D)."""
 
 _STATE, _VISION, _INSTRUCTION = spec.Obs.STATE, spec.Obs.VISION, spec.Obs.INSTRUCTION
 
@@ -36,13 +37,13 @@ class OpenpiNames:
     """Both directions of one mapping.
 
     Attributes:
-        names: openpi's name to the input that it stands for; None: known, and not used.
+        names: input of the standard by name of openpi; None for a name that is not used.
         embodiment: the robot.
         action_type: "joint" or "ee".
-        required: inputs that policy.yml requires, or None where no manifest says.
+        required: inputs that policy.yml requires; None if no manifest declares them.
         chunk: rows of an answer that the manifest declares, or None.
-        gripper: their value for closed and for open.
-        images: order of their axes, "hwc" or "chw".
+        gripper: openpi's value of a closed and of an open gripper.
+        images: order of the axes of openpi's images, "hwc" or "chw".
     """
 
     names: Mapping[str, str | None]
@@ -58,8 +59,8 @@ class OpenpiNames:
         """Return the mapping of a configuration: deploy.yml's values and `manifest`, the parsed policy.yml.
 
         Raises:
-            ConfigError: if `openpi` is missing or unclear, or leaves out an input that policy.yml requires.
-            UnknownEmbodimentError: if `env_cfg_type` names no embodiment.
+            ConfigError: `openpi` is missing or invalid, or has no name for an input that policy.yml requires.
+            UnknownEmbodimentError: `env_cfg_type` names no embodiment.
         """
         settings = read(config.get(KEY))
         manifest = Manifest.parse(config.get("manifest"))
@@ -85,7 +86,7 @@ class OpenpiNames:
         """Return the standard's observation of an openpi observation.
 
         Raises:
-            ObservationError: if a name is unknown, a required input is missing, or a value has another form.
+            ObservationError: a name is unknown, a required input is missing, or a value is invalid.
         """
         if not isinstance(values, Mapping):
             raise ObservationError(f"an observation must be a map, got {type(values).__name__}")
@@ -93,8 +94,8 @@ class OpenpiNames:
         unknown = [name for name in came if name not in self.names]
         if unknown:
             raise ObservationError(
-                f"the observation has {', '.join(unknown)}, which stands for nothing here; it holds "
-                f"{', '.join(came)}; known are {', '.join(self.names)} ({KEY}.names of deploy.yml says what they mean)"
+                f"the observation has {', '.join(unknown)}, which {KEY}.names of deploy.yml does not map to an input; it "
+                f"holds {', '.join(came)}; mapped are {', '.join(self.names)}"
             )
         obs: ObservationDict = {}
         for name, value in came.items():
@@ -122,7 +123,7 @@ class OpenpiNames:
         """Return the action chunk of an openpi answer.
 
         Raises:
-            ActionError: if it holds no `actions` of (H, D) in the embodiment's order.
+            ActionError: it has no `actions` of (H, D) in the embodiment's order.
         """
         rows = answer.get(ACTIONS) if isinstance(answer, Mapping) else None
         if not isinstance(rows, np.ndarray) or rows.ndim != 2 or rows.dtype.kind not in "iuf":
@@ -139,10 +140,10 @@ class OpenpiNames:
     # -- to openpi -----------------------------------------------------------------------------------------------------
 
     def values(self, obs: Observation) -> dict[str, Any]:
-        """Return the openpi observation of a standard's; an input that is neither there nor required is left out.
+        """Return the openpi observation of one of the standard; missing inputs that are not required are left out.
 
         Raises:
-            ObservationError: if a required input is missing, or one has another form.
+            ObservationError: a required input is missing, or one has another shape or dtype.
         """
         offered = offered_inputs(obs)
         needed = self.required if self.required is not None else self._usual()
@@ -170,7 +171,7 @@ class OpenpiNames:
     # -- inside --------------------------------------------------------------------------------------------------------
 
     def _check(self) -> None:
-        """Check that every name leads to an input of this robot, none twice, and that what is required has one."""
+        """Check that every name maps to an input of this robot, none twice, and that required inputs have a name."""
         arms = len(self.embodiment.arms)
         states = [prefix + key for prefix in self.embodiment.prefixes for key in _state_keys()]
         cameras = [*spec.CAMERAS[arms], *spec.OPTIONAL_CAMERAS]
@@ -181,11 +182,11 @@ class OpenpiNames:
                 continue
             if target not in valid:
                 raise ConfigError(
-                    f"{KEY}.names: {name} must stand for {_INSTRUCTION}, {_STATE}, {_STATE}.KEY or a camera of "
+                    f"{KEY}.names: {name} must map to {_INSTRUCTION}, {_STATE}, {_STATE}.KEY or a camera of "
                     f"{self.embodiment.name} ({', '.join(cameras)}), got {target!r}"
                 )
             if target in used:
-                raise ConfigError(f"{KEY}.names: {used[target]} and {name} both stand for {target}")
+                raise ConfigError(f"{KEY}.names: {used[target]} and {name} both map to {target}")
             used[target] = name
         covered = set().union(*(_bare(target, self) for target in used))
         missing = [one for one in self.required or () if one not in covered]
@@ -195,7 +196,7 @@ class OpenpiNames:
             )
 
     def _usual(self) -> set[str]:
-        """Return the inputs that an observation has where no manifest says: all but what the standard leaves open."""
+        """Return the inputs that are required without a manifest: all but those that are optional in the standard."""
         spare = {_INSTRUCTION, *(f"{_VISION}.{camera}" for camera in spec.OPTIONAL_CAMERAS)}
         targets = [target for target in self.names.values() if target is not None and target not in spare]
         return set().union(*(_bare(target, self) for target in targets))
@@ -230,7 +231,7 @@ class OpenpiNames:
         return _ours(vector, self.gripper) if self._is_gripper(key) else vector
 
     def _sized(self, key: str, value: object, name: str) -> np.ndarray:
-        """Return the vector of one key of the state; an error calls it by the given name."""
+        """Return the vector of one key of the state; an error calls it `name`."""
         vector = _vector(value, name)
         dims = {name: dim for kind in spec.ACTION_TYPES for name, dim in self.embodiment.dims(kind).items()}
         if vector.shape != (dims.get(key, vector.size),):
@@ -244,7 +245,7 @@ class OpenpiNames:
             expected = "(3, H, W)" if self.images == "chw" else "(H, W, 3)"
             got = f"{value.shape} {value.dtype}" if isinstance(value, np.ndarray) else type(value).__name__
             raise ObservationError(
-                f"{name} must be {expected} uint8 RGB, got {got} ({KEY}.images says in which order its axes are)"
+                f"{name} must be {expected} uint8 RGB, got {got} ({KEY}.images sets the order of its axes)"
             )
         image: np.ndarray = np.moveaxis(value, 0, -1) if self.images == "chw" else value
         return image
@@ -279,7 +280,7 @@ def _state_keys() -> list[str]:
 
 
 def _bare(target: str, names: OpenpiNames) -> set[str]:
-    """Return what a target is called in policy.yml, where arms share a name: `state` is each key of its vector."""
+    """Return the names of a target in policy.yml, without an arm's prefix; for `state`, each key of its vector."""
     if target == _STATE:
         return {f"{_STATE}.{key}" for key in spec.ACTION_KEYS[names.action_type]}
     room, _, key = target.partition(".")
@@ -290,7 +291,7 @@ def _bare(target: str, names: OpenpiNames) -> set[str]:
 
 
 def _flat(values: Mapping[Any, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Give every value with its whole name, `a.b` for what lies deeper."""
+    """Yield each value with its full name, `a.b` for one in a nested map."""
     for key, value in values.items():
         name = above + (key.decode(errors="replace") if isinstance(key, bytes) else str(key))
         if isinstance(value, Mapping):

@@ -1,8 +1,8 @@
-"""What deploy.yml says of openpi's names: a style that openpi's examples use, names of one's own, scale and layout.
+"""`openpi` of deploy.yml: a style of openpi's examples, additional names, gripper scale and image layout.
 
     openpi: {style: droid, names: {observation/exterior_image_2_left: null}, gripper: {closed: 1, open: 0}, images: hwc}
 
-`null` says that a name is known and not used.
+`null` marks a name that is not used.
 """
 
 from __future__ import annotations
@@ -57,20 +57,20 @@ STYLES: dict[str, dict[str, Any]] = {
         "images": "chw",
     },
 }
-"""What openpi's example environments send: policies/droid_policy.py, libero_policy.py and aloha_policy.py there."""
+"""Inputs of openpi's example policies: policies/droid_policy.py, libero_policy.py and aloha_policy.py there."""
 
 
 def read(config: Any) -> dict[str, Any]:
-    """Return `openpi` of deploy.yml with what its style says: `names`, and `gripper` and `images` where it says so.
+    """Return `openpi` of deploy.yml with the settings of its style: `names`, and `gripper` and `images` if set.
 
     Raises:
-        ConfigError: if it is missing or unclear.
+        ConfigError: it is missing or invalid.
     """
     styles = ", ".join(STYLES)
     if config is None:
         raise ConfigError(
-            f"openpi's wire has no names of the standard: `{KEY}` in deploy.yml has to say what its names mean, for "
-            f"example {{style: droid}}; styles are {styles}"
+            f"openpi's wire has no names of the standard: set `{KEY}` in deploy.yml, which maps its names to inputs, "
+            f"for example {{style: droid}}; styles are {styles}"
         )
     keys = ("style", "names", "gripper", "images")
     unknown = [str(key) for key in config if key not in keys] if isinstance(config, Mapping) else [repr(config)]
@@ -83,7 +83,7 @@ def read(config: Any) -> dict[str, Any]:
         raise ConfigError(f"{KEY}.names must map openpi's names to inputs, got {names!r}")
     base: dict[str, Any] = STYLES[style] if style is not None else {"names": {}}
     settings = {**base, **{key: value for key, value in config.items() if value is not None}}
-    # One that was given another meaning leaves the style's; the input goes with the name that was given for it.
+    # A name in deploy.yml replaces the style's name for the same input.
     kept = {name: target for name, target in base["names"].items() if target not in names.values()}
     settings["names"] = {**kept, **names}
     if not any(settings["names"].values()):
@@ -94,10 +94,10 @@ def read(config: Any) -> dict[str, Any]:
 
 
 def gripper_ends(value: object) -> tuple[float, float]:
-    """Return what a gripper's value is when it is closed, and when it is open.
+    """Return the values of a closed and of an open gripper.
 
     Raises:
-        ConfigError: unless two different numbers are given.
+        ConfigError: the setting has not two different finite numbers.
     """
     if value is None:
         return spec.GRIPPER_CLOSED, spec.GRIPPER_OPEN

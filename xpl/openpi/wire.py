@@ -1,4 +1,4 @@
-"""openpi's wire as `xpl.Client` and `xpl serve --also openpi` speak it: its messages, in the standard's names.
+"""openpi's wire for `xpl.Client` and `xpl serve --also openpi`: its messages, in the standard's names.
 
 A server sends its metadata first. An error is text; openpi's own server closes the connection after one. There is no
 reset: a connection is an episode.
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class OpenpiCodec(Codec):
-    """Messages of openpi, whose names a configuration explains (`openpi` of deploy.yml)."""
+    """Messages of openpi, whose names a configuration maps (`openpi` of deploy.yml)."""
 
     greets = True
 
@@ -42,7 +42,11 @@ class OpenpiCodec(Codec):
         )
 
     def decode_greeting(self, message: Message) -> Mapping[str, Any]:
-        """Return the metadata; text is how a server refuses."""
+        """Return the metadata.
+
+        Raises:
+            WireError: the message is text, by which a server refuses the connection, or no metadata.
+        """
         if isinstance(message, str):
             raise WireError(f"it refused the connection: {message.strip()}")
         if not recognises(message):
@@ -79,7 +83,7 @@ class OpenpiCodec(Codec):
 
 
 def recognises(message: bytes) -> bool:
-    """Tell whether a message is the metadata of an openpi server: a map that is no frame of xpl's wire."""
+    """Return whether a message is the metadata of an openpi server: a map that is no frame of xpl's wire."""
     try:
         value: Any = codec.unpack(message)
     except WireError:

@@ -1,4 +1,4 @@
-"""How simulators draw without a screen, and what their cameras see in the standard's form."""
+"""Rendering of simulators without a display, and their camera images in the standard's form."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
-"""What lacks where nothing can be drawn."""
+"""Error of a machine that cannot render."""
 
 from __future__ import annotations
 
 
 class RendererMissingError(RuntimeError):
-    """This machine lacks what the environment draws with; audits then say `not run`, and films are left out."""
+    """This machine lacks the environment's renderer; audits then report `not run`, and videos are left out."""
 
     @classmethod
     def of(cls, renderer: str, error: Exception) -> RendererMissingError:
-        """Return what to say where a renderer failed and only cameras need it."""
-        return cls(f"{renderer} cannot draw here ({type(error).__name__}: {error}); policies without cameras still run")
+        """Return the error of a failed renderer that only cameras need."""
+        return cls(f"{renderer} cannot render ({type(error).__name__}: {error}); policies without cameras still run")

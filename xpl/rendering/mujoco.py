@@ -1,4 +1,4 @@
-"""Cameras of MuJoCo, whatever library draws them."""
+"""Camera images of MuJoCo, with any library that renders them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _HALF_TURN = np.diag([-1.0, -1.0, 1.0])
 
 
 def choose_opengl() -> None:
-    """Let MuJoCo draw without a screen, unless `MUJOCO_GL` says how; call this before anything imports MuJoCo."""
+    """Let MuJoCo render without a display, unless `MUJOCO_GL` is set; call this before any import of MuJoCo."""
     for name, library in _LIBRARIES.items():
         if find_library(library):
             os.environ.setdefault("MUJOCO_GL", name)
@@ -27,7 +27,7 @@ def choose_opengl() -> None:
 
 
 def mujoco_view(model: Any, data: Any, camera: int, color: np.ndarray, *, half_turn: bool = False) -> dict[str, Any]:
-    """Return what a camera sees as the standard has it: the picture, and the matrices that belong to it.
+    """Return a camera's entry of an observation: the image, and its intrinsic and extrinsic matrices.
 
     MuJoCo's cameras look along -z with y up, the standard's along z with y down, as OpenCV's.
 
@@ -36,7 +36,7 @@ def mujoco_view(model: Any, data: Any, camera: int, color: np.ndarray, *, half_t
         data: `mujoco.MjData` or its wrapper, with kinematics up to date.
         camera: id of the camera.
         color: (H, W, 3) uint8 RGB, upright.
-        half_turn: turn the picture by 180 degrees, and the camera with it.
+        half_turn: rotate the image by 180 degrees, and the camera with it.
     """
     height, width = color.shape[:2]
     turn = _OPENCV @ data.cam_xmat[camera].reshape(3, 3).T

@@ -1,4 +1,4 @@
-"""Cameras of robosuite, and of what is built on it, such as LIBERO."""
+"""Cameras of robosuite, and of benchmarks based on it, such as LIBERO."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 class RobosuiteCameras:
-    """Pictures of a manifest's cameras; robosuite gives them upside down, as OpenGL does.
+    """Images of a manifest's cameras; robosuite returns them upside down, as OpenGL does.
 
     Args:
         cameras: facts by camera of the standard: `source` is robosuite's name, `height` and `width` its size.
-        asked: size (H, W) that is asked for instead, True for the manifest's, False for no pictures.
-        is_fast: draw without anti-aliasing.
+        asked: size (H, W) in pixels, True for that of the manifest, False for no images.
+        is_fast: render without anti-aliasing.
     """
 
     def __init__(
@@ -30,7 +30,7 @@ class RobosuiteCameras:
         self._size = asked if isinstance(asked, tuple) else (first["height"], first["width"])
 
     def options(self) -> dict[str, Any]:
-        """Return what robosuite is made with: it draws in each step if pictures are wanted."""
+        """Return the arguments of robosuite's environment; it renders in each step if images are requested."""
         height, width = self._size
         return {
             "has_renderer": False,
@@ -42,15 +42,15 @@ class RobosuiteCameras:
         }
 
     def prepare(self, simulation: Any) -> None:
-        """Let what is loaded for each episode draw fast, if that is wanted."""
+        """Make each loaded episode render without anti-aliasing, if `is_fast`."""
         if self._is_fast:
             simulation.set_xml_processor(_without_samples)
 
     def raw(self, simulation: Any, obs: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Return what each camera sees as robosuite gives it, (H, W, 3) uint8 RGB, upside down.
+        """Return robosuite's image of each camera, (H, W, 3) uint8 RGB, upside down.
 
         Raises:
-            RendererMissingError: this machine cannot draw.
+            RendererMissingError: this machine cannot render.
         """
         return {
             name: obs[f"{facts['source']}_image"] if self._are_wanted else self._drawn(simulation, facts["source"])
@@ -58,10 +58,10 @@ class RobosuiteCameras:
         }
 
     def seen(self, simulation: Any, obs: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-        """Return what each camera sees, upright, and the matrices of the camera.
+        """Return the entry of each camera in an observation: its image, upright, and its matrices.
 
         Raises:
-            RendererMissingError: this machine cannot draw.
+            RendererMissingError: this machine cannot render.
         """
         model, data = simulation.sim.model, simulation.sim.data
         return {
@@ -70,13 +70,13 @@ class RobosuiteCameras:
         }
 
     def _drawn(self, simulation: Any, source: str) -> np.ndarray:
-        """Return a picture for people, where policies want none."""
+        """Return an image of a camera that robosuite does not render in each step."""
         from robosuite.utils.binding_utils import MjRenderContextOffscreen
 
         sim: Any = simulation.sim
         height, width = self._size
         try:
-            if sim._render_context_offscreen is None:  # noqa: SLF001 - robosuite's own code asks so
+            if sim._render_context_offscreen is None:  # noqa: SLF001 - as robosuite's own code does
                 MjRenderContextOffscreen(sim, device_id=-1)
                 sim._render_context_offscreen.vopt.geomgroup[0] = 0  # type: ignore[attr-defined]  # noqa: SLF001
             seen: np.ndarray = sim.render(camera_name=source, height=height, width=width)
@@ -86,7 +86,7 @@ class RobosuiteCameras:
 
 
 def _without_samples(xml: str) -> str:
-    """Return a model that is drawn without anti-aliasing."""
+    """Return a model that is rendered without anti-aliasing."""
     if "<quality" in xml:
         return re.sub(r"<quality\b(?![^>]*offsamples)", '<quality offsamples="0"', xml)
     if "<visual>" in xml:

@@ -1,4 +1,4 @@
-"""Where Vulkan's driver comes from: SAPIEN loads what a scene looks like even where nobody looks at it."""
+"""Choice of Vulkan's driver: SAPIEN loads the visuals of a scene even if no camera renders."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from pathlib import Path
 from xpl.rendering.errors import RendererMissingError
 
 VULKAN_COMPLAINTS = ("rendering device", "vk::")
-"""What errors of SAPIEN say where Vulkan has no device, or no driver."""
+"""Parts of SAPIEN's error messages if Vulkan has no device, or no driver."""
 
-_MESA = "XPL_MESA"  # variable with the folder that `mesa.sh` filled
+_MESA = "XPL_MESA"  # environment variable with the folder that `mesa.sh` installed into
 _DEFAULT = "~/.cache/xpl/mesa"
 _SCRIPT = 'bash "$(xpl env path maniskill)/mesa.sh"'
 _DRIVER = "lvp_icd.json"
@@ -19,9 +19,9 @@ _OWN = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")  # Vulkan's variables, the second
 
 
 def choose_vulkan() -> None:
-    """Let Vulkan find Mesa's driver for processors where `mesa.sh` put one, unless Vulkan's own variables name another.
+    """Let Vulkan use Mesa's CPU driver if `mesa.sh` installed it, unless Vulkan's own variables name another driver.
 
-    Call this before anything imports SAPIEN. Where there is neither, Vulkan looks among the system's drivers.
+    Call this before any import of SAPIEN. Without either, Vulkan searches the system's drivers.
 
     Raises:
         RendererMissingError: `XPL_MESA` names a folder without a driver.
@@ -34,12 +34,12 @@ def choose_vulkan() -> None:
     if driver.is_file():
         os.environ[_OWN[1]] = str(driver)
     elif named:
-        raise RendererMissingError(f"{_MESA} names {named}, which has no {_DRIVER}: {_SCRIPT} makes one")
+        raise RendererMissingError(f"{_MESA} names {named}, which has no {_DRIVER}: {_SCRIPT} installs one")
 
 
 def no_vulkan(simulator: str, error: Exception) -> RendererMissingError:
-    """Return what to say where SAPIEN finds nothing to draw with."""
+    """Return the error of a machine on which SAPIEN finds no Vulkan device."""
     return RendererMissingError(
         f"{simulator} needs a Vulkan device even without cameras, and SAPIEN found none that it can use ({error}): "
-        f"without a GPU, `{_SCRIPT}` gets Mesa's driver for processors (Debian 12 has one that is too old)"
+        f"without a GPU, `{_SCRIPT}` installs Mesa's CPU driver (that of Debian 12 is too old)"
     )

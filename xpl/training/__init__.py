@@ -4,13 +4,13 @@
     from xpl.trajectory import open_folder
 
     numbers = statistics(".", config, open_folder("demos/lift_cube"), horizon=16)
-    ...                                         # write them where `model_io.normalize` of policy.yml looks for them
+    ...                                         # write them into the file that `model_io.normalize` names
     found = windows(".", config, open_folder("demos/lift_cube"), horizon=16)
-    batch = found.batch([0, 7, 40])           # as `predict` gets it, and what the model should have answered
+    batch = found.batch([0, 7, 40])             # inputs as `predict` gets them; `found.targets` has the model's outputs
 
 Each recorded observation goes through the adapter's `encode` (the block `model_io`, or its own), without its model.
-Each recorded action goes through the inverse of its `decode`. Numpy; h5py and Pillow to read a
-set. `xpl.training.lerobot` is a whole training on top of it, of policies that are LeRobot's.
+Each recorded action goes through the inverse of its `decode`. Needs numpy, and h5py and Pillow to read a data set.
+`xpl.training.lerobot` trains policies of LeRobot with it.
 """
 
 from __future__ import annotations

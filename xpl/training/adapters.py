@@ -22,7 +22,7 @@ MANIFEST_VARIABLE = "XPL_MANIFEST"
 
 
 class TrainingError(ValueError):
-    """Training data cannot be made; the text says what was expected, and what to do."""
+    """Training data cannot be made; the message has the expected value and the remedy."""
 
 
 def without_model(
@@ -37,7 +37,8 @@ def without_model(
 
     Args:
         folder: folder of the package.
-        config: configuration of the run (`$XPL_CONFIG`). Without `manifest`, that is `$XPL_MANIFEST`, or policy.yml.
+        config: configuration of the run (`$XPL_CONFIG`). Without the key `manifest`, the manifest is that of
+            `$XPL_MANIFEST`, or policy.yml.
         normalized: False removes every `normalize` of the block, so that no statistics are needed.
         images: False removes the block's images.
         as_bytes: images stay uint8: range, mean and std are removed.
@@ -52,10 +53,10 @@ def without_model(
     manifest = copy.deepcopy(dict(manifest_of(folder, config)))
     base = load_model_class(Path(folder).resolve(), Manifest.parse(manifest).model_class)
     if not issubclass(base, Policy):
-        raise TrainingError(f"{folder}: {base.__name__} is no xpl.Policy; its conversions cannot be asked for")
+        raise TrainingError(f"{folder}: {base.__name__} is no xpl.Policy; its conversions cannot be called")
     model_io = manifest.get("model_io")
     if model_io is None:
-        raise TrainingError(f"{folder}: policy.yml has no block model_io, by which recorded actions become the model's")
+        raise TrainingError(f"{folder}: policy.yml has no block model_io, which converts recorded actions to the model's")
     if not normalized:
         for vector in (*model_io.get("state", ()), model_io["action"]):
             vector.pop("normalize", None)
@@ -71,7 +72,7 @@ def without_model(
 
 
 def _no_load(_self: Policy, _config: Config) -> None:
-    """Stand for an adapter's `load`."""
+    """Replace an adapter's `load`."""
 
 
 def manifest_of(folder: str | os.PathLike[str], config: Config) -> Mapping[str, Any]:
@@ -90,7 +91,7 @@ def _manifest(folder: Path, variant: str | None) -> Mapping[str, Any]:
         import yaml
     except ImportError:
         raise TrainingError(
-            f"{path} is read by PyYAML, which is not installed: `xpl train` hands it over, or `pip install pyyaml`"
+            f"{path} is read by PyYAML, which is not installed: run `xpl train`, or `pip install pyyaml`"
         ) from None
     document = yaml.safe_load(path.read_text(encoding="utf-8"))
     if not isinstance(document, Mapping):

@@ -1,4 +1,4 @@
-"""Trains policies of LeRobot: statistics in its own files, its own loss, and a run that goes on where it was killed.
+"""Trains policies of LeRobot: statistics in its own files, its own loss, and runs that resume after a kill.
 
 A package calls this from two scripts of a line each, which `xpl prepare` and `xpl train` run in the policy's Python:
 
@@ -6,8 +6,8 @@ A package calls this from two scripts of a line each, which `xpl prepare` and `x
     lerobot.train(Path(__file__).parent)              # train.py
 
 Keys of deploy.yml: `demonstrations` (folders of trajectories), `episodes` (at most), `steps` and `minutes` (the first
-of them ends a training), `save_every` (seconds), `batch`, `noise` (standard deviation that is added to vectors, in
-their normalised numbers) and `lerobot` (settings of the network in LeRobot's words).
+limit that is reached ends a training), `save_every` (seconds), `batch`, `noise` (standard deviation of noise that is
+added to normalised vectors) and `lerobot` (LeRobot's settings of the network).
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ if TYPE_CHECKING:
     from xpl.training.windows import Windows
 
 STILL = 1e-4
-"""What moves by less is taken for constant, as in Diffusion Policy: rounding must not become a signal."""
+"""A value with a smaller range counts as constant, as in Diffusion Policy: rounding must not become a signal."""
 
 LOG_EVERY, WARM_UP, AVERAGE = 100, 200, 0.999
-"""Steps from one line of the curve to the next, steps until the full rate, and the decay of the averaged weights."""
+"""Steps between lines of the loss curve, steps until the full learning rate, and the decay of the averaged weights."""
 
 SCENE = "observation.environment_state"
 _STATE_FILE = ".training.pt"
@@ -71,22 +71,22 @@ def prepare(package: Path, kind: str) -> None:
     tensors = {key: _tensors(_still(value) if "min" in value else value) for key, value in numbers.items()}
     target = checkpoint_folder(package, config)
     target.mkdir(parents=True, exist_ok=True)
-    (target / _STATE_FILE).unlink(missing_ok=True)  # of a training on other numbers
-    settings._save_pretrained(target)  # noqa: SLF001 - what LeRobot's own training calls
+    (target / _STATE_FILE).unlink(missing_ok=True)  # of a training with other statistics
+    settings._save_pretrained(target)  # noqa: SLF001 - as LeRobot's own training does
     for pipeline in make_pre_post_processors(settings, dataset_stats=tensors):
         pipeline.save_pretrained(target)
     print(f"{len(episodes)} episodes, {int(numbers[ACTION]['count'][0])} steps: {target}")  # noqa: T201
 
 
 def train(package: Path) -> None:
-    """Train until the steps or the minutes are over, and write model.safetensors into the checkpoint.
+    """Train until the limit of steps or minutes, and write model.safetensors into the checkpoint.
 
-    The rate follows a cosine that ends with whichever comes first. What is saved are averaged weights. A run that was
-    killed at any moment goes on with the same command, and ends in the same weights.
+    The learning rate follows a cosine that ends with the first limit. The saved weights are averaged ones. The same
+    command resumes a run that was killed at any moment, and ends in the same weights.
     """
     import torch
     from lerobot.configs.policies import PreTrainedConfig
-    from lerobot.policies.factory import get_policy_class  # which also makes LeRobot know its own kinds of policies
+    from lerobot.policies.factory import get_policy_class  # also registers LeRobot's policy types
 
     config = _config()
     target = checkpoint_folder(package, config)
@@ -131,19 +131,19 @@ def train(package: Path) -> None:
 
 
 def demonstrations(config: Config) -> Folder:
-    """Return the set, or the sets as one, that `demonstrations` of deploy.yml names."""
+    """Return the data set that `demonstrations` of deploy.yml names; several are concatenated."""
     paths = config.get("demonstrations") or "../../demos"
     folders = [open_folder(Path(one).expanduser()) for one in ([paths] if isinstance(paths, str) else paths)]
     return open_files([one.path for folder in folders for one in folder][: config.get("episodes")])
 
 
 def checkpoint_folder(package: Path, config: Config) -> Path:
-    """Return the checkpoint's folder, where the adapter looks for it."""
+    """Return the folder from which the adapter loads its checkpoint."""
     return package / spec.CHECKPOINT_DIRECTORY / str(config["run_name"] or config[spec.Deploy.CKPT_NAME])
 
 
 class TrainingData:
-    """All windows on the device, images as bytes; vectors are shown with a little noise, as the robot strays, too."""
+    """All windows on the device, images as uint8; noise is added to vectors, because a robot deviates, too."""
 
     def __init__(self, windows: Windows, device: Any, noise: float) -> None:
         import torch
@@ -162,7 +162,7 @@ class TrainingData:
         )
 
     def batch(self, rows: Any) -> dict[str, Any]:
-        """Return what LeRobot's `forward` takes, of the rows (B,), a tensor."""
+        """Return the argument of LeRobot's `forward` for rows, a tensor (B,)."""
         import torch
 
         result = {ACTION: self.targets[rows], "action_is_pad": self.padded[rows]}
@@ -178,7 +178,7 @@ class TrainingData:
 
 
 class TrainingRun:
-    """Network, optimizer and averaged weights of a training, and how far it is."""
+    """Network, optimizer, averaged weights and progress of a training."""
 
     def __init__(self, network: Any, settings: Any, data: TrainingData, seed: int) -> None:
         import torch
@@ -194,7 +194,7 @@ class TrainingRun:
         self.step, self.spent, self.total = 0, 0.0, torch.zeros((), device=self.device)
 
     def resume(self, path: Path) -> None:
-        """Go on where a run was saved, if one was."""
+        """Load the state of a saved run, if there is one."""
         import torch
 
         if not path.exists():
@@ -207,7 +207,7 @@ class TrainingRun:
         )
 
     def save(self, path: Path) -> None:
-        """Write all that `resume` needs."""
+        """Write the state that `resume` loads."""
         import torch
 
         state = {"policy": self.policy.state_dict(), "optimizer": self.optimizer.state_dict(), "average": self.average}
@@ -215,10 +215,15 @@ class TrainingRun:
         _write_atomically(path, lambda part: torch.save(state, part))
 
     def train_step(self, batch: int, share: float) -> None:
-        """Do a step; `share` says how much of the training is over, 0 to 1."""
+        """Do a step.
+
+        Args:
+            batch: batch size.
+            share: completed share of the training, 0 to 1, which sets the learning rate.
+        """
         import torch
 
-        # Of each step by itself, so that a run that goes on draws the same.
+        # Each step has its own seed, so that a resumed run draws the same numbers.
         torch.manual_seed(self.seed * 1_000_003 + self.step)
         rows = torch.randint(len(self.data.targets), (batch,)).to(self.device)
         for group, rate in zip(self.optimizer.param_groups, self.rates):
@@ -235,7 +240,7 @@ class TrainingRun:
         self.total += loss.detach()
 
     def mean_loss(self) -> float:
-        """Return the mean loss since this was asked last."""
+        """Return the mean loss since the last call."""
         loss: float = round(self.total.item() / LOG_EVERY, 6)
         self.total.zero_()
         return loss
@@ -251,7 +256,7 @@ class TrainingRun:
 
 
 def _calibrate(policy: Any, data: TrainingData) -> None:
-    """Give LeRobot's frozen batch norms the statistics of these images: they are meant for a backbone of ImageNet."""
+    """Set the statistics of LeRobot's frozen batch norms, made for an ImageNet backbone, to those of these images."""
     import torch
 
     frozen = [one for one in policy.modules() if type(one).__name__ == "FrozenBatchNorm2d"]
@@ -294,7 +299,7 @@ def _tensors(numbers: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 
 def _curve(path: Path, step: int) -> TextIO:
-    """Open the curve, without what a killed run told after it was saved for the last time."""
+    """Open the log of the loss curve, without lines that a killed run wrote after its last save."""
     lines = path.read_text().splitlines(keepends=True) if path.exists() else []
     complete = [line for line in lines if line.endswith("\n") and json_text.parse(line)["step"] <= step]
     _write_atomically(path, lambda part: part.write_text("".join(complete)))
@@ -302,7 +307,7 @@ def _curve(path: Path, step: int) -> TextIO:
 
 
 def _write_atomically(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file that is there whole or not at all."""
+    """Write a file atomically: it exists complete, or not at all."""
     part = path.with_name(f".{path.name}.part")
     write(part)
     part.replace(path)

@@ -51,7 +51,7 @@ def statistics(
         for name, values in found.inputs.items()
         if isinstance(values, np.ndarray) and values.dtype != np.uint8
     }
-    assert policy.interface is not None  # `without_model` asks for it  # noqa: S101
+    assert policy.interface is not None  # `without_model` requires it  # noqa: S101
     answers = found.targets if policy.interface.action.is_relative else found.targets[:, [-min(first, 0)]]
     padded = found.padded if policy.interface.action.is_relative else found.padded[:, [-min(first, 0)]]
     vectors[ACTION] = answers[~padded]

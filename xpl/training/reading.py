@@ -124,7 +124,7 @@ def read_all(
         raise TrainingError(f"{demonstrations.path} holds no episode")
     inputs = {name: _column(name, [row[name] for row in rows]) for name in rows[0]}
     starts = np.cumsum([0, *counts], dtype=np.int64)
-    alike = History(length=policy.history) if own else None  # what predict gets of an adapter that encodes itself
+    alike = History(length=policy.history) if own else None  # history of an adapter with its own `encode`
     histories = {name: alike or interface.history_of(name) for name in inputs}
     return Windows(
         inputs=inputs,
@@ -159,11 +159,11 @@ def _rows_of_history(history: History, starts: np.ndarray) -> tuple[np.ndarray, 
 
 def _interface(policy: Policy) -> Interface:
     if policy.interface is None:
-        raise TrainingError(f"{type(policy).__name__} has no block model_io, by which actions become the model's")
+        raise TrainingError(f"{type(policy).__name__} has no block model_io, which converts actions to the model's")
     if type(policy).decode is not Policy.decode:
         raise TrainingError(
-            f"{type(policy).__name__} decodes by code of its own, which has no inverse; "
-            "say what it does in model_io.action"
+            f"{type(policy).__name__} has its own decode, which has no inverse; "
+            "declare the conversion in model_io.action"
         )
     return policy.interface
 
@@ -208,7 +208,7 @@ def _encode_episode(
 
 
 def _cameras(policy: Policy) -> list[str] | None:
-    """Return the cameras that the block shows; None for all, where encode may read others."""
+    """Return the cameras of the block's images; None for all, if the adapter has its own `encode`."""
     if type(policy).encode is not Policy.encode or policy.interface is None:
         return None
     return [camera for item in policy.interface.images for camera in item.cameras]
@@ -224,7 +224,7 @@ def _answers(interface: Interface, actions: Sequence[Action], states: Sequence[A
     for step, chosen in enumerate(indices):
         memory: dict[str, np.ndarray] = {}
         if step:
-            output.encode([actions[step - 1]], states[step - 1], memory)  # the command before is counted from
+            output.encode([actions[step - 1]], states[step - 1], memory)  # deltas start from the previous command
         answer = output.encode([actions[place] for place in chosen], states[step], memory)
         made.append(answer[output.first :])
     return np.stack(made)

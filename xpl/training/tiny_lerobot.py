@@ -1,4 +1,4 @@
-"""Saves a LeRobot policy with random weights as its training would, small enough to travel with a package."""
+"""Saves a LeRobot policy with random weights as its training would, small enough to ship with a package."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import torch
 
 _BFLOAT16, _FLOAT8 = 2**15, 2**20
-"""Numbers of a tensor from which it is stored in two bytes each, and in one."""
+"""Sizes from which a tensor is stored with two bytes per value, and with one."""
 
 
 def save(folder: Path, policy: Any, statistics: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
@@ -20,9 +20,9 @@ def save(folder: Path, policy: Any, statistics: Mapping[str, Mapping[str, torch.
     narrower type, which loading converts to that of the model.
 
     Args:
-        folder: of the checkpoint.
+        folder: folder of the checkpoint.
         policy: a `PreTrainedPolicy` of LeRobot 0.4.
-        statistics: by feature, what its normalization reads: `mean` and `std`, or `min` and `max`.
+        statistics: by feature, the values of its normalization: `mean` and `std`, or `min` and `max`.
     """
     import torch
     from lerobot.policies.factory import make_pre_post_processors

@@ -1,4 +1,4 @@
-"""Inputs and answers of every control step of a set, in arrays from which batches are picked."""
+"""Inputs and targets of every control step of a data set, in arrays from which batches are taken."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Values = Union[np.ndarray, "list[str]"]
 
 @dataclass(frozen=True)
 class Pixels:
-    """How bytes of an image input become its numbers: `(bytes * scale + low - mean) / std`, in float32 and this order.
+    """Scaling of uint8 images to a model's input: `(bytes * scale + low - mean) / std`, in float32 and this order.
 
     Attributes:
         scale, low, mean, std: float32 arrays that broadcast over the input.
@@ -25,26 +25,27 @@ class Pixels:
     std: np.ndarray
 
     def numbers(self, values: np.ndarray) -> np.ndarray:
-        """Return the numbers of bytes, float32, the same bits as `encode` makes."""
+        """Return the scaled values of uint8 images, float32, bit-identical to those of `encode`."""
         result: np.ndarray = (values * self.scale + self.low - self.mean) / self.std
         return result
 
 
 @dataclass(frozen=True)
 class Windows:
-    """What a model reads, and should answer, at each of N control steps of a set.
+    """Inputs and target outputs of a model at each of N control steps of a data set.
 
-    Histories and batches are picked by row, so that each observation lies here once. With torch: move `inputs`, `seen`
-    and `targets` to the device, and index them there as `batch` does.
+    Histories and batches are indexed by row, so that each observation is stored once. With torch: move `inputs`,
+    `history_rows` and `targets` to the device, and index them there as `batch` does.
 
     Attributes:
-        inputs: by the model's name, one row for each control step: (N, ...) float32, (N, ...) uint8 where `pixels` has
+        inputs: by input of the model, one row for each control step: (N, ...) float32, (N, ...) uint8 if `pixels` has
             the input, or a list of N texts.
-        pixels: how the bytes of an image input become its numbers; inputs whose numbers are bytes are not in it.
-        targets: (N, H, D) float32: the model's normalised answers, oldest step first.
-        padded: (N, H) bool: True where an episode was not yet, or no longer; its first or last action stands there.
-        seen: by input with a history (N, T) int64: the rows that each step shows, in its order; -1 where zeros stand.
-        real: by input that tells which observations of a history are real (N, T) float32: 1 real, 0 made up.
+        pixels: scaling of uint8 images by input; without inputs that the model reads as uint8.
+        targets: (N, H, D) float32: normalised outputs of the model, oldest step first.
+        padded: (N, H) bool: True before the beginning and after the end of an episode, where its first or last action
+            is repeated.
+        history_rows: by input with a history (N, T) int64: rows of each step's history, in its order; -1 for zeros.
+        real: by input that masks the padding of a history (N, T) float32: 1 for observations, 0 for padding.
         starts: (E + 1,) int64: the first row of each of E episodes, and N.
     """
 
@@ -61,10 +62,10 @@ class Windows:
         return len(self.targets)
 
     def batch(self, rows: Sequence[int] | np.ndarray) -> dict[str, Any]:
-        """Return B control steps: inputs as `predict` gets them, the same bits.
+        """Return the inputs of B control steps, bit-identical to those that `predict` gets.
 
         Args:
-            rows: of the control steps, (B,).
+            rows: indices of the control steps, (B,), 0 to N - 1.
 
         Returns:
             By input (B, ...) arrays, (B, T, ...) where it has a history, or a list of B texts.

@@ -44,7 +44,7 @@ _ENVELOPE: dict[str, tuple[type, ...]] = {
     spec.Frame.SENT_AT: (str,),
     spec.Frame.PAYLOAD: (dict,),
 }
-# The types of nearly all envelopes: nothing more has to be asked of these.
+# The types of nearly all envelopes, which need no further check.
 _USUAL = frozenset(itertools.product(*_ENVELOPE.values()))
 _IDENTIFIERS = (
     spec.Frame.MESSAGE_ID,
@@ -60,7 +60,7 @@ class WireError(ValueError):
     """A frame cannot be understood, or not be sent.
 
     Attributes:
-        identifiers: what could still be read of the fields that an answer repeats.
+        identifiers: the fields that an answer repeats, as far as they could be read.
     """
 
     def __init__(self, message: str, identifiers: Mapping[str, Any] | None = None) -> None:
@@ -69,7 +69,7 @@ class WireError(ValueError):
 
     @property
     def message_id(self) -> str | None:
-        """The frame's id where it could still be read: then the frame can be answered."""
+        """The frame's id, if it could be read: then the frame can be answered."""
         return self.identifiers.get(spec.Frame.MESSAGE_ID)
 
 
@@ -112,11 +112,11 @@ def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
 
     Args:
         frame: the frame.
-        pieces: further entries of its payload as the pieces of a packed map (`xpl.wire.packed`), for a peer that takes
-            them.
+        pieces: further entries of its payload as the pieces of a packed map (`xpl.wire.packed`), for a peer that
+            accepts them.
 
     Raises:
-        WireError: if the envelope or the payload holds what cannot travel, or the frame is over the wire's limits.
+        WireError: a value of the envelope or the payload cannot be sent, or the frame is over the wire's limits.
     """
     # In this order the identifiers come before the payload, so that they can be read even if the payload cannot.
     fields = {name: getattr(frame, name) for name in _ENVELOPE}
@@ -136,10 +136,10 @@ def encode(frame: Frame, pieces: Sequence[Data] = ()) -> bytes:
 
 
 def unpacked(payload: Payload) -> Payload:
-    """Return a payload with the entries that it carries packed among the others.
+    """Return a payload with its packed entries unpacked.
 
     Raises:
-        PackingError: if what is packed is not a packed map.
+        PackingError: the packed entries are no packed map.
     """
     data = payload.get(spec.Payload.PACKED)
     if data is None:
@@ -158,7 +158,7 @@ def decode(data: Data) -> Frame:
     """Return the frame of some bytes.
 
     Raises:
-        WireError: if they are not a frame of the wire, or beyond its limits.
+        WireError: they are no frame of the wire, or over its limits.
     """
     if len(data) > spec.LIMITS["frame_bytes"]:
         raise WireError(f"a frame of {len(data)} bytes is over the limit of {spec.LIMITS['frame_bytes']}")
@@ -188,7 +188,7 @@ def decode(data: Data) -> Frame:
 
 
 def _bytes_header(size: int) -> bytes:
-    """Return how msgpack announces a byte string of a size."""
+    """Return the msgpack header of a byte string of this size."""
     for mark, width in ((b"\xc4", 1), (b"\xc5", 2), (b"\xc6", 4)):
         if size < 1 << 8 * width:
             return mark + size.to_bytes(width, "big")
@@ -196,7 +196,7 @@ def _bytes_header(size: int) -> bytes:
 
 
 def depth(value: object) -> int:
-    """Return how deeply maps and lists are nested in a value, 0 for a scalar; stops counting beyond the limit."""
+    """Return the depth of maps and lists in a value, 0 for a scalar; counting stops beyond the limit."""
     level = 0
     current = [value] if isinstance(value, (dict, list)) else []
     while current and level <= spec.LIMITS["nesting"]:
@@ -234,7 +234,7 @@ def _is(value: object, allowed: tuple[type, ...]) -> bool:
 
 
 def _salvaged(data: Data) -> dict[str, Any]:
-    """Return the identifiers of a frame that does not decode, as far as they can be read."""
+    """Return the identifiers that can be read of a frame that does not decode."""
     fields: dict[str, Any] = {}
     try:
         unpacker = _msgpack().Unpacker(
@@ -247,7 +247,7 @@ def _salvaged(data: Data) -> dict[str, Any]:
                 fields[name] = unpacker.unpack()
             else:
                 unpacker.skip()
-    except Exception:  # noqa: BLE001, S110 - the rest cannot be read, which is why we are here
+    except Exception:  # noqa: BLE001, S110 - the frame is known to be invalid
         pass
     return _identifiers(fields)
 
@@ -289,7 +289,7 @@ def _array_map(value: object) -> dict[bytes, Any]:
 
 
 class Counting:
-    """Counts what the maps and lists of one message hold, for readers of msgpack."""
+    """Counts the entries of the maps and lists of one message, for readers of msgpack."""
 
     def __init__(self) -> None:
         self._left = spec.LIMITS["elements"]
@@ -303,7 +303,7 @@ class Counting:
         """Count the entries of a map or list.
 
         Raises:
-            WireError: there are more than a message may hold.
+            WireError: a message has more entries than allowed.
         """
         self._left -= entries + 1
         if self._left < 0:
@@ -311,7 +311,7 @@ class Counting:
 
 
 class _HeaderReader(Counting):
-    """Makes values of the maps and lists of one frame."""
+    """Converts the maps and lists of one frame to values."""
 
     def on_map(self, entries: dict[Any, Any]) -> Any:
         self.count(len(entries))
@@ -352,7 +352,7 @@ def _text_keys(entries: dict[Any, Any]) -> dict[str, Any]:
 
 
 def refuse_extension(code: int, _: bytes) -> None:
-    """Refuse what msgpack calls an extension."""
+    """Refuse an extension type of msgpack."""
     raise WireError(f"msgpack extension type {code} is not part of the wire")
 
 

@@ -1,7 +1,7 @@
-"""What is said of errors: text that can always be sent, whatever an adapter or a peer put into it. Standard library.
+"""Text of errors that can always be sent, whatever an adapter or a peer put into it. Standard library only.
 
-An exception's text may hold lone surrogates, which no encoder takes; it may be longer than a frame; and making it runs
-code of the adapter, which may raise. Every report of an error uses it.
+An exception's text may hold lone surrogates, which no encoder accepts; it may be longer than a frame; and `str` runs
+code of the adapter, which may raise. Every report of an error uses this module.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ TRACEBACK = 1 << 16
 _LEVELS = 8
 _ENTRIES = 64
 _CAUSES = 64
-"""Exceptions of which a traceback tells: causes, contexts and members of groups together."""
+"""Most exceptions that a traceback describes: causes, contexts and members of groups together."""
 _SOURCE = 1 << 22
-"""Bytes of the largest file that lines of a traceback are read from."""
+"""Bytes of the largest file from which a traceback shows lines."""
 
 
 def sendable(text: str, longest: int = SENTENCE) -> str:
-    """Return a text that every encoder takes: lone surrogates are written out, what is too long loses its middle."""
+    """Return a text that every encoder accepts: lone surrogates are escaped, a long text loses its middle."""
     if len(text) > longest:
         half = (longest - 40) // 2
         text = f"{text[:half]} ... {len(text) - 2 * half} characters ... {text[-half:]}"
@@ -35,9 +35,9 @@ def sendable(text: str, longest: int = SENTENCE) -> str:
 
 
 def visible(text: str) -> str:
-    r"""Return a peer's text for who reads it on a terminal: what is not printed is written out, such as `\x1b`.
+    r"""Return a peer's text for a terminal: characters that are not printable are escaped, such as `\x1b`.
 
-    Line ends and tabs stay; what is longer than a traceback may be loses its middle.
+    Line ends and tabs stay; a text longer than `TRACEBACK` loses its middle.
     """
     text = sendable(text, TRACEBACK)
     if text.isprintable():
@@ -68,7 +68,7 @@ def describe(error: BaseException, frames: object = None) -> dict[str, str]:
 
     Args:
         error: the exception.
-        frames: where its traceback begins; all of it by default.
+        frames: first frame of the traceback; all of it by default.
     """
     kind = name_of(error)
     message = text_of(error)
@@ -82,9 +82,9 @@ def describe(error: BaseException, frames: object = None) -> dict[str, str]:
 
 
 def _traceback(error: BaseException, frames: Any, last: str) -> str:
-    """Return a traceback: with all causes if these are few, else of the exception alone, which ends with a given line.
+    """Return a traceback: with all causes if these are few, else of the exception alone, with `last` as its last line.
 
-    The standard library goes through all of them before it tells of one, and reads each source to its end.
+    The standard library visits all of them before it formats one, and reads each source file to its end.
     """
     related = _related(error)
     for one in related:
@@ -92,14 +92,14 @@ def _traceback(error: BaseException, frames: Any, last: str) -> str:
     _hide_odd_sources(frames)
     if len(related) <= _CAUSES:
         return "".join(traceback.format_exception(type(error), error, frames))
-    head = "Traceback (most recent call last; its causes and members are more than can be told):\n"
+    head = "Traceback (most recent call last; its causes and members are too many to list):\n"
     return head + "".join(traceback.format_tb(frames)) + last
 
 
 def _related(error: BaseException) -> list[BaseException]:
-    """Return an exception, its causes and contexts once, and members of groups as often as they are met; bounded.
+    """Return an exception, each of its causes and contexts once, and members of groups each time; bounded.
 
-    The standard library follows a cause that it has met no further, and a member again each time.
+    The standard library, too, formats a repeated cause once, and a repeated member each time.
     """
     related: list[BaseException] = []
     visited, new = {id(error)}, [error]
@@ -115,11 +115,11 @@ def _related(error: BaseException) -> list[BaseException]:
 
 
 def _hide_odd_sources(frames: TracebackType | None) -> None:
-    """Keep lines from being read from what is no plain file, or a very large one."""
+    """Prevent `linecache` from reading source lines of very large files, and of anything but plain files."""
     while frames is not None:
         name = frames.tb_frame.f_code.co_filename
         try:
-            found = os.stat(name)  # noqa: PTH116 - a name that no path may have raises here too
+            found = os.stat(name)  # noqa: PTH116 - a name that is no valid path raises here too
             is_odd = not stat.S_ISREG(found.st_mode) or found.st_size > _SOURCE
         except (OSError, ValueError):
             is_odd = False

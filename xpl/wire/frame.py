@@ -1,11 +1,11 @@
-"""The one frame that values and messages between processes of ours travel in: a JSON header and raw buffers.
+"""The frame of values and messages between xpl's own processes: a JSON header and raw buffers.
 
     <"XPL1"><header length: u32><body length: u64>   little endian
     <header: JSON, UTF-8, padded with spaces>
     <body: buffers in the order of the header, each at a multiple of 16 bytes>
 
-What the header says is told by who writes it: `xpl.wire.packed` a value, `xpl.process.link` a message. Standard library
-only.
+The writer defines the content of the header: `xpl.wire.packed` for a value, `xpl.process.link` for a message. Standard
+library only.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ _ALIGN = 16
 _ZEROS = bytes(_ALIGN)
 HEADER_LIMIT = 64 * 1024 * 1024
 BODY_LIMIT = 8 * 1024**3
-"""Bytes; more than any frame unpacks to. Only a stream that is out of step asks for more."""
+"""Bytes, more than any frame unpacks to. A longer body is announced only if the stream is out of step."""
 
 
 class PackingError(ValueError):
-    """A value or a message cannot be packed, or what arrived is none."""
+    """A value or a message cannot be packed, or received bytes are none."""
 
 
 def begun(header: bytes, body: int) -> bytes:
@@ -38,7 +38,7 @@ def begun(header: bytes, body: int) -> bytes:
         body: bytes of the buffers with the gaps between them.
 
     Raises:
-        PackingError: if the other side would take it for a stream that is out of step.
+        PackingError: header or body is over its limit.
     """
     header += b" " * (-len(header) % _ALIGN)
     if len(header) > HEADER_LIMIT or body > BODY_LIMIT:
@@ -50,7 +50,7 @@ def begun(header: bytes, body: int) -> bytes:
 
 
 def gap(size: int) -> bytes:
-    """Return what follows a buffer of so many bytes, so that the next one begins at a multiple of 16."""
+    """Return the padding after a buffer of this size, so that the next one begins at a multiple of 16."""
     return _ZEROS[: -size % _ALIGN]
 
 
@@ -58,7 +58,7 @@ def lengths(prefix: Data) -> tuple[int, int]:
     """Return the lengths of the header and the body that follow the first `PREFIX_BYTES` bytes of a frame.
 
     Raises:
-        PackingError: if it is no prefix, or one beyond any sensible size.
+        PackingError: the bytes are no prefix, or a length is over its limit.
     """
     try:
         magic, header, body = _PREFIX.unpack_from(prefix)

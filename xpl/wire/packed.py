@@ -1,11 +1,11 @@
 """Values as bytes without msgpack: a JSON header and raw buffers.
 
-Requests and answers of workers have this form, and payloads on the wire if both sides announced it:
-arrays are neither wrapped nor copied one by one, and the front end passes on what it need not read. One value is a
-frame (`xpl.wire.frame`).
+Requests and answers of workers have this form, and payloads on the wire if both sides announced it: arrays are neither
+wrapped nor copied one by one, and the front end forwards them without reading them. One value is a frame
+(`xpl.wire.frame`).
 
 In its header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
-`{"@bytes": [offset, length]}`. An array that lies in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
+`{"@bytes": [offset, length]}`. An array in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
 list of maps that hold arrays of equal keys, types and shapes, as action chunks do, is `{"@rows": {key: [offset, dtype,
 shape]}}`, with the length of the list as the first size. A text key that starts with `@` has it doubled. No pickle.
 """
@@ -44,20 +44,20 @@ _SMALL = 1 << 12
 _SURROGATE = re.compile(r"\\u[dD][89a-fA-F]")
 
 _dtype_of, _shape_of = attrgetter("dtype"), attrgetter("shape")
-# Not as ASCII: a lone surrogate, which no other encoder takes, is then refused here, too.
+# Not as ASCII: a lone surrogate, which no other encoder accepts, is then refused here, too.
 _to_json = json.JSONEncoder(separators=(",", ":"), ensure_ascii=False).encode
 
 _ARRAY_ENTRIES = 8
-"""List and map entries of a small array where it travels unpacked."""
+"""List and map entries of a small array that is sent unpacked."""
 
 
 @dataclass(frozen=True)
 class PackingLimits:
-    """What a value may hold.
+    """Limits of a value.
 
     Attributes:
-        entries: of all its lists and maps together; an array counts as `_ARRAY_ENTRIES`.
-        size: bytes of its arrays and byte strings.
+        entries: most entries of all its lists and maps together; an array counts as `_ARRAY_ENTRIES`.
+        size: most bytes of its arrays and byte strings.
     """
 
     entries: int
@@ -67,7 +67,7 @@ class PackingLimits:
 _NO_LIMITS = PackingLimits(1 << 62, BODY_LIMIT)
 
 Allocate = Callable[[np.ndarray], Optional[tuple[int, int]]]
-"""Puts an array into shared memory and returns its block and offset, or None if it must travel in the message."""
+"""Stores an array in shared memory and returns its block and offset, or None if the message must contain it."""
 Find = Callable[[int, int, "np.dtype[np.generic]", Any], np.ndarray]
 """Returns the array of a block, an offset, a dtype and a shape in shared memory."""
 
@@ -81,7 +81,7 @@ def encode(value: object, allocate: Allocate | None = None, limits: PackingLimit
         limits: limits of the value; a larger one is refused before it is traversed.
 
     Raises:
-        PackingError: the value has another type, text that is no Unicode, arrays of objects or dates, or exceeds the
+        PackingError: the value has another type, text that is no Unicode, arrays of objects or dates, or is over the
             limits.
     """
     writer = _PackedWriter(allocate, limits)
@@ -98,11 +98,11 @@ def decode(message: Data, find: Find | None = None) -> Any:
     """Return the value of one message. Arrays are read-only views of it.
 
     Args:
-        message: all bytes of it.
-        find: finds arrays in shared memory.
+        message: all its bytes.
+        find: reads arrays in shared memory.
 
     Raises:
-        PackingError: if the bytes are not exactly one message, or header and body do not fit together.
+        PackingError: the bytes are not exactly one message, or header and body do not fit together.
     """
     header, body = lengths(message)
     view = memoryview(message).toreadonly()
@@ -121,10 +121,10 @@ def decode(message: Data, find: Find | None = None) -> Any:
 
 
 def map_key(key: object) -> str:
-    """Return the text that a map key travels as: text itself, or a whole number written out.
+    """Return the text of a map key: the text itself, or an integer in decimal digits.
 
     Raises:
-        PackingError: for any other key.
+        PackingError: the key has another type.
     """
     if isinstance(key, str):
         return str(key)
@@ -154,7 +154,7 @@ class _PackedWriter:
         if kind is np.ndarray:
             return self._array(value)
         if value is None or isinstance(value, (str, bool, int, float)):
-            # Python's text and numbers by another name
+            # subclasses of text and numbers of Python
             return value.item() if isinstance(value, (np.str_, np.float64)) else value
         if isinstance(value, np.ndarray):
             return self._array(value)
@@ -193,7 +193,7 @@ class _PackedWriter:
         if type(first) is not dict or not first or set(map(type, items)) != {dict}:
             return None
         arrays = sum(isinstance(item, np.ndarray) for item in first.values())
-        if len(items) * arrays * _ARRAY_ENTRIES > self._left:  # before all of them are gone through
+        if len(items) * arrays * _ARRAY_ENTRIES > self._left:  # before all of them are traversed
             self._count(len(items) * arrays * _ARRAY_ENTRIES)
         if set(map(len, items)) != {len(first)} or set(map(type, first)) != {str}:
             return None
@@ -258,7 +258,7 @@ class _PackedReader:
         if mark == _SHARED:
             block, offset, description, shape = entry
             if self._find is None:
-                raise PackingError("an array lies in shared memory, but none was agreed on")
+                raise PackingError("an array is in shared memory, but client and server agreed on none")
             return self._find(block, offset, parse_dtype(description), shape)
         return bytes(self._cut(*entry))
 
@@ -266,7 +266,7 @@ class _PackedReader:
         columns = {
             key[1:] if key.startswith(_ESCAPE) else key: self._at(*place) for key, place in columns_by_key.items()
         }
-        # Without content a few bytes could stand for any number of rows.
+        # Without content a few bytes could announce any number of rows.
         if len({len(column) for column in columns.values()}) != 1 or not all(map(np.size, columns.values())):
             raise PackingError("the columns of a packed list differ in length, or are empty")
         self._left -= sum(map(len, columns.values()))
@@ -279,7 +279,7 @@ class _PackedReader:
         return from_data(self._cut(offset, dtype.itemsize * size_of(shape)), dtype, shape)
 
     def _cut(self, offset: object, length: object) -> memoryview:
-        # In the order of the header and none twice: what a message makes is in proportion to its bytes.
+        # In the order of the header, each byte once: the size of the value is in proportion to that of the message.
         start, end = self._read_to, len(self._body)
         if type(offset) is not int or type(length) is not int or not start <= offset <= offset + length <= end:
             raise PackingError(f"bytes {offset!r:.40} to +{length!r:.40} lie outside a body's {start} to {end}")
@@ -304,10 +304,10 @@ def _joined(values: list[Any]) -> bytes | None:
 
 
 def size_of(shape: object) -> int:
-    """Return how many elements an array of this shape has.
+    """Return the number of elements of an array of this shape.
 
     Raises:
-        PackingError: if it is not a list of sizes.
+        PackingError: the shape is no list of sizes.
     """
     if not isinstance(shape, (list, tuple)) or not all(type(size) is int and size >= 0 for size in shape):
         raise PackingError(f"an array shape must be a list of sizes, got {shape!r:.80}")

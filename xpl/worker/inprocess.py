@@ -1,11 +1,11 @@
 """Calls an adapter in this process, as a program that imports it would: no server, no client.
 
-The audit compares the served adapter with it. Standard library and numpy only. Script and answers lie in files
+The audit compares the served adapter with it. Standard library and numpy only. Script and answers are files
 (`xpl.worker.subprocess_task`):
 
     {"policy_dir", "config", "manifest", "script": [[method, arguments], ...]}, further "shadow", as in the
     message by which a worker loads an adapter (`xpl.worker.main`), and "watch"
-    one map for the load and one for each call: a "result" or an "error"; with "unreal": true where only the real model
+    one map for the load and one for each call: a "result" or an "error"; with "unreal": true if only the real model
     could have answered
 
 Observations are passed as by a simulator: separate, writable arrays.

@@ -19,8 +19,8 @@ class LoadError(RuntimeError):
 def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> type:
     """Import model.py of an adapter under a module name of its own and return the class that its manifest names.
 
-    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package and of
-    what the adapter's scripts put on the path (`xpl.ecosystem`).
+    The package's `__init__.py` is not run. Relative imports work, and so do imports of the ecosystem's package and from
+    folders that the adapter's scripts add to the path (`xpl.ecosystem`).
 
     Raises:
         LoadError: there is no model.py, or no such class in it.
@@ -54,12 +54,12 @@ def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:
     missing = [name for name in needed if not callable(getattr(model_class, name, None))]
     if missing:
         raise LoadError(
-            f"policy.yml says serving.shared, but {spec.MODEL_CLASS} has no {', '.join(missing)}: derive it from "
-            "xpl.Policy, or write one that takes a list of environments"
+            f"policy.yml sets serving.shared, but {spec.MODEL_CLASS} has no {', '.join(missing)}: derive it from "
+            "xpl.Policy, or write methods that take a list of environments"
         )
     unclear = [name for name in ambiguous if callable(getattr(model_class, name, None))]
     if unclear:
         raise LoadError(
-            f"policy.yml says serving.shared, but {', '.join(unclear)} cannot tell one client from another: remove it, "
-            "or do not share"
+            f"policy.yml sets serving.shared, but {', '.join(unclear)} cannot distinguish clients: remove it, or do "
+            "not share the model"
         )

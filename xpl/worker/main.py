@@ -4,15 +4,15 @@ Standard library and numpy only. Messages have a head, in JSON, and buffers (`xp
 
     {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}; with
                                                         "shadow": true the model is not loaded (`xpl.worker.shadow`)
-    {"op": "map", "segment", "path", "size"}            -> {"ok": null}; arrays of requests may lie there from now on
+    {"op": "map", "segment", "path", "size"}            -> {"ok": null}; requests may keep arrays there from now on
     {"op": "unmap", "segment"}                          -> {"ok": null}
     {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.wire.packed`) for each
                                                         -> {"answers": [null or error, ...]}, a packed map for each null
 
 The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
-the map of its answer. Whatever raises is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused":
-true` where the request itself was wrong, `"unserialisable": true` where the result cannot travel, and `"lacks":
-{"kind", "name"}` where not the adapter is to blame but the machine (`xpl.worker.missing_requirements`).
+the map of its answer. An exception is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused": true`
+if the request itself was wrong, `"unserialisable": true` if the result cannot be sent, and `"lacks": {"kind", "name"}`
+if the machine lacks a requirement and the adapter is not at fault (`xpl.worker.missing_requirements`).
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ if TYPE_CHECKING:
     from xpl.worker.sharing import SharedModel
 
 
-# Not exceptions only: libraries that parse the command line end the process over an argument that is not theirs, and
-# what ends a generator or a program may slip out of a model. No signal raises here: Ctrl-C belongs to the parent.
+# Also SystemExit and GeneratorExit: libraries that parse the command line exit on an unknown argument, and a model may
+# raise either. No signal raises here: the parent handles Ctrl-C.
 _FAILURES = (BaseException,)
 _ANSWER = packed.PackingLimits(spec.LIMITS["elements"], spec.LIMITS["frame_bytes"])
 _ARGUMENT_TYPES: dict[str, type] = {spec.Method.UPDATE_OBS: dict, spec.Method.UPDATE_OBS_BATCH: list}
 
 
 class WorkerRequest(NamedTuple):
-    """What one client asks for.
+    """Request of one client.
 
     Attributes:
-        client: its number.
-        method: `infer`, or what is called.
-        segment: number of the shared memory that its arrays may lie in, or None.
-        optional: an adapter without this method answers nothing.
+        client: number of the client.
+        method: `infer`, or the method to call.
+        segment: number of the shared memory that may contain its arrays, or None.
+        optional: whether an adapter without this method answers with an empty map.
         payload: a packed map.
     """
 
@@ -61,7 +61,7 @@ class WorkerRequest(NamedTuple):
 
 
 class RefusedError(ValueError):
-    """A request asks for what the adapter does not offer, or lacks what it needs."""
+    """A request names a method that the adapter does not have, or its argument is invalid."""
 
 
 class AdapterWorker:
@@ -76,7 +76,7 @@ class AdapterWorker:
         self._config: dict[str, Any] = {}
 
     def handle(self, head: Head, buffers: Sequence[Data] = ()) -> tuple[Head, list[Data]]:
-        """Return the answer to one message of the front end; whatever an adapter raises becomes an `error`."""
+        """Return the answer to one message of the front end; an exception of the adapter becomes an `error`."""
         if head["op"] == "run":
             requests = [WorkerRequest(*asked, payload) for asked, payload in zip(head["requests"], buffers)]  # type: ignore[call-arg]
             return self._run(requests)
@@ -95,7 +95,7 @@ class AdapterWorker:
     def _load(self, message: Head) -> Head:
         from xpl.policy import Policy
 
-        # Where a model is built anew, the one before has to go first: there may not be room for two.
+        # Free the previous model before loading another one: the memory may not suffice for two.
         self._model, self._shared = None, None
         gc.unfreeze()
         gc.collect()
@@ -116,15 +116,15 @@ class AdapterWorker:
         return self._offer(manifest)
 
     def _offer(self, manifest: Manifest) -> Head:
-        """Tell what the model offers, and settle in for serving it."""
+        """Return the class and methods of the model, and prepare the process for serving it."""
         model_class = type(self._model)
         shared = manifest.serving.shared
         offered = (*spec.CONTRACT_METHODS, *spec.HOOKS, spec.Method.INFER, *manifest.methods)
         self._methods = frozenset(
             name for name in offered if not name.startswith("_") and callable(getattr(self._model, name, None))
         )
-        # What was loaded stays: looking through it again and again would make some steps slow. And one chunk of actions
-        # makes more objects than Python lets come together by default before it looks through them.
+        # Loaded objects stay: if the garbage collector traversed them again and again, some steps would be slow. And an
+        # action chunk creates more objects than the default threshold of the collector.
         gc.collect()
         gc.freeze()
         gc.set_threshold(10_000, 10, 10)
@@ -154,7 +154,7 @@ class AdapterWorker:
                 try:
                     buffers.append(_pack_answer(request, result, left))
                     left -= len(buffers[-1])
-                except _FAILURES as error:  # also what a library's own array type raises while it is converted
+                except _FAILURES as error:  # also an exception of a library's array type during conversion
                     answers.append({**describe(error), **self._missing_requirement(error), "unserialisable": True})
                 else:
                     answers.append(None)
@@ -163,17 +163,17 @@ class AdapterWorker:
                 answers.append(
                     {**describe(result), **self._missing_requirement(result), **({"refused": True} if refused else {})}
                 )
-                # Who keeps the exception would keep all that its frames hold, and the memory that a client shares.
+                # The traceback would keep all objects of its frames alive, and the memory that a client shares.
                 result.__traceback__ = None
         return {"answers": answers}, buffers
 
     def _missing_requirement(self, error: BaseException) -> Head:
-        """Return what an error tells of the machine; nothing if the adapter is to blame."""
+        """Return what the machine lacks according to an error; empty if the adapter is at fault."""
         from xpl.worker import missing_requirements
 
         try:
             requirement = missing_requirements.missing_requirement(error, self._policy_dir, self._config)
-        except _FAILURES:  # an exception whose text cannot be had, for example
+        except _FAILURES:  # an exception whose `__str__` raises, for example
             requirement = None
         return {} if requirement is None else {"lacks": requirement}
 
@@ -197,7 +197,7 @@ class AdapterWorker:
             except _FAILURES as error:
                 results.append(error)
                 continue
-            results.append(None)  # the answer to an optional method: a model that is shared has no hooks
+            results.append(None)  # the answer to an optional method: a shared model has no hooks
             if request.method == spec.Method.INFER or request.method in self._methods:
                 shared_requests[index] = sharing.SharedRequest(request.client, request.method, argument)
         for index, result in zip(shared_requests, shared.run(list(shared_requests.values()))):
@@ -209,7 +209,7 @@ class AdapterWorker:
         if method == spec.Method.INFER or (method == spec.Method.GET_ACTION and isinstance(argument, Mapping)):
             return self._infer(argument)
         if method not in self._methods:
-            return None  # an optional one: `_argument` lets no other pass
+            return None  # an optional method: `_argument` refuses any other
         operation = getattr(self._model, method)
         if argument is None or method in (spec.Method.RESET, spec.Method.GET_ACTION):
             return operation()
@@ -225,8 +225,8 @@ class AdapterWorker:
         """Return the argument of a request's method.
 
         Raises:
-            RefusedError: if the adapter has no such method, or the argument is of the wrong kind.
-            PackingError: if the payload is damaged.
+            RefusedError: the adapter has no such method, or the argument has the wrong type.
+            PackingError: the payload is damaged.
         """
         method = request.method
         window = self._windows.get(request.segment or 0)
@@ -255,7 +255,7 @@ def _pack_answer(request: WorkerRequest, result: object, most: int) -> bytes:
     """Return the entries of the answer to a request, packed.
 
     Raises:
-        PackingError: if they cannot travel, or take more than `most` bytes.
+        PackingError: they cannot be sent, or take more than `most` bytes.
     """
     entries: Any = {}
     if request.method == spec.Method.INFER:

@@ -1,6 +1,6 @@
-"""What a machine lacks when an adapter cannot be loaded, as distinct from errors of the adapter.
+"""Missing requirements of a machine on which an adapter cannot be loaded, as distinct from errors of the adapter.
 
-Only the exceptions are examined. In doubt the machine is taken to lack something: a rule must not blame the adapter
+Only the exceptions are examined. In doubt a requirement is missing: a rule must not report an error of the adapter
 without evidence.
 """
 
@@ -26,14 +26,14 @@ _OPEN_LIBRARY = "cannot open shared object file"  # message of the dynamic linke
 _LONGEST = 300
 
 _WEIGHTS = (".pt", ".pth", ".ckpt", ".safetensors", ".bin", ".npz", ".npy", ".pkl", ".gguf", ".onnx", ".h5")
-# Classes that libraries raise when what they should load is nowhere; by name, for none of them is installed here.
+# Exceptions of libraries whose model is missing; by name, because the libraries need not be installed here.
 _NOT_FOUND = {
     *("HFValidationError", "RepositoryNotFoundError", "RevisionNotFoundError", "EntryNotFoundError", "GatedRepoError"),
     *("LocalEntryNotFoundError", "OfflineModeIsEnabled", "MissingConfigException", "MissingMandatoryValue"),
     "SafetensorError",
 }
 _UNREACHED = {"ConnectionError", "ConnectTimeout", "TimeoutError", "gaierror", "URLError"}
-# What libraries say when a model is nowhere; transformers, huggingface_hub, diffusers, h5py, torch.
+# Messages of libraries about a missing model: transformers, huggingface_hub, diffusers, h5py, torch.
 _MODEL_NOT_FOUND = re.compile(
     r"is not a local folder|is not a valid model identifier|couldn't connect to|can't load (?:the|token|config|feature)"
     r"|does not appear to have a file named|unable to (?:synchronously )?(?:open|load)|error no file named"
@@ -62,7 +62,7 @@ class ShadowError(RuntimeError):
     """The adapter needs something that only its model has, so shadow mode proves nothing about it.
 
     Attributes:
-        kind: a kind of what `lacking` returns.
+        kind: a kind that `missing_requirement` returns.
     """
 
     kind = "shadow"
@@ -78,9 +78,9 @@ def missing_requirement(error: BaseException, policy_dir: Path, config: Config) 
 
     Returns:
         a map of `kind` and `name`: a third-party `module`, a shared `library`, the `checkpoint`, a `device`, values
-        that the model_io block leaves `open`, the benchmark's `env_cfg`, the `upstream` code, a `file` elsewhere, a
-        `server`, a `setting` that scripts give; what a `shadow` cannot give in place of the real one; or that the
-        adapter is a `whole` without a shadow.
+        that the model_io block leaves `open`, the benchmark's `env_cfg`, the `upstream` code, a `file` outside the
+        adapter, a `server`, a `setting` that scripts pass; `shadow`, what shadow mode cannot replace; or `whole`, an
+        adapter that has no shadow.
     """
     for cause in _causes(error):
         requirement = _requirement_of(cause, policy_dir, config)
@@ -90,7 +90,7 @@ def missing_requirement(error: BaseException, policy_dir: Path, config: Config) 
 
 
 def _requirement_of(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
-    from xpl.errors import UnknownValueError  # imported already where it was raised
+    from xpl.errors import UnknownValueError  # imported already by the code that raised it
 
     requirement: tuple[str, str] | None = None
     if isinstance(error, ShadowError):
@@ -113,7 +113,7 @@ def _requirement_of(error: BaseException, policy_dir: Path, config: Config) -> t
 
 
 def _missing_file(error: FileNotFoundError, policy_dir: Path, config: Config) -> tuple[str, str] | None:
-    """Return what a file is that is not there; None if it is one that the adapter itself would have to have."""
+    """Return the requirement that a missing file is; None if it is a file that the adapter itself must contain."""
     if not isinstance(error.filename, (str, os.PathLike)):
         text = _brief(error)
         return ("env_cfg" if checkout.ENV_CFG in text else _kind(text) or "checkpoint"), text
@@ -131,7 +131,7 @@ def _missing_file(error: FileNotFoundError, policy_dir: Path, config: Config) ->
 
 
 def _requirement_in_message(error: BaseException, policy_dir: Path, config: Config) -> tuple[str, str] | None:
-    """Return what an exception says in words, its own or a library's."""
+    """Return the missing requirement that the message of an exception names, or None."""
     names = {kind.__name__ for kind in type(error).__mro__}
     text = _brief(error)
     if names & _NOT_FOUND:
@@ -162,7 +162,7 @@ def _brief(error: BaseException) -> str:
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """Yield an exception and what it was raised from, or while it was handled, each once: they may go in a circle."""
+    """Yield an exception, its causes and its contexts, each once: they may form a cycle."""
     cause: BaseException | None = error
     seen: set[int] = set()
     while cause is not None and id(cause) not in seen:

@@ -1,8 +1,8 @@
 """Records a model's inputs and outputs for an episode: a subprocess task in the policy's interpreter.
 
     {"policy_dir", "config", "manifest", "observations": [observation, ...]}
-    one map for the load, one for the question: a "result" or an "error". The result has "inputs", what `predict` got,
-    "raw", what it answered, and "steps", what became of that; or "failed", why nothing did.
+    one map for the load, one for the inference: a "result" or an "error". The result has "inputs", the argument of
+    `predict`, "raw", its result, and "steps", the decoded actions; or "failed", an error after `predict` got them.
 
 A value that cannot be encoded is replaced by its type's name.
 """
@@ -32,7 +32,7 @@ def main(request_path: str, answers: str) -> NoReturn:
 def _all(order: TaskRequest) -> Iterator[bytes]:
     def play(model: Any) -> Iterator[bytes]:
         if not isinstance(model, Policy):
-            yield pack_error(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be shown"))
+            yield pack_error(LoadError("the model is no xpl.Policy: it has no predict whose inputs could be recorded"))
             return
         yield pack_result(None)
         try:

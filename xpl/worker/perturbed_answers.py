@@ -1,12 +1,12 @@
 """Answers of an adapter under one change after another: a persistent subprocess task (`xpl.worker.subprocess_task`).
 
-The audit searches mistakes with it. The model is loaded once, as `xpl.worker.inprocess.load` reads, further "block",
-its model_io block; then each order has
+The audit's mistake search uses it. The first request loads the model once; it has the keys of
+`xpl.worker.inprocess.load`, and "block", the adapter's model_io block. Each further request has
 
     "calls", a list of {"reset": True}, {"show": [[env, name], ...]} and {"ask": [env, ...]}; "observations", by name,
-    those that were not in an order before; "seconds"; and "blocks", model_io blocks, or "changes" of encoded inputs
-    one answer for whether the adapter can be asked so: its result is None, or the reason why not; then one for each
-    block (its result is the chunk of every question) or change (`xpl.worker.encoded.play`), as far as the seconds reach
+    those that no earlier request had; "seconds"; and "blocks", model_io blocks, or "changes" of encoded inputs
+    one answer for whether the task applies to the adapter: its result is None, or the reason why not; then one for each
+    block (its result is the chunks of all inferences) or change (`xpl.worker.encoded.play`), until the time limit
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class PerturbedModel:
         self._variants: block_answers.BlockAnswers | None = None
 
     def answers(self, order: TaskRequest) -> Iterator[bytes]:
-        """Yield the answers to an order, packed."""
+        """Yield the answers to a request, packed."""
         self._observations.update(order["observations"])
         why = self._unfit(order)
         yield pack_result(why)

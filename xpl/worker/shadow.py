@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from xpl.contract import Config, Entry, Observation
     from xpl.convert import Interface
 
-_STEPS = 4  # of a chunk, where nothing declares how many
+_STEPS = 4  # of a chunk whose length is not declared
 _DEPTH = 32
 _REACH = 0.2  # rad or m around the middle: a motion that a robot can follow
 _SDK = re.compile(r"^\s*(?:from|import)\s+xpl\b", re.MULTILINE)
@@ -50,9 +50,9 @@ def load_shadow_class(policy_dir: Path, class_name: str) -> type[Policy]:
     """Return the shadow of the class in an adapter's model.py, which is imported.
 
     Raises:
-        NoShadowError: if the adapter does not keep its model apart from what is around it; before anything is imported
-            where it was written without the SDK, so that this is told in place of the first library that is not here.
-        LoadError: if there is no model.py or no class `Model` in it.
+        NoShadowError: the adapter does not separate its model from the code around it. For an adapter without the SDK
+            it is raised before any import, so that a missing library does not hide it.
+        LoadError: there is no model.py or no such class in it.
     """
     texts = [path.read_text(encoding="utf-8", errors="replace") for path in policy_dir.glob("*.py")]
     if texts and not any(map(_SDK.search, texts)):
@@ -64,12 +64,12 @@ def shadow_of(model_class: type) -> type[Policy]:
     """Return a subclass of the adapter's class with other `load` and `predict`.
 
     Raises:
-        NoShadowError: if the adapter does not keep its model apart from what is around it.
+        NoShadowError: the adapter does not separate its model from the code around it.
     """
     if not issubclass(model_class, Policy):
         raise NoShadowError(
             f"shadow mode needs an adapter that derives from xpl.Policy; {model_class.__name__} does not, and its "
-            "model cannot be told from what is around it"
+            "model cannot be separated from the code around it"
         )
     if model_class.predict is Policy.predict:
         raise NoShadowError(f"shadow mode needs an adapter with predict; {model_class.__name__} lacks it")
@@ -103,7 +103,7 @@ class _Shadow(Policy):
         """Return the result of the adapter's `encode`.
 
         Raises:
-            ShadowError: if that is the observation itself: what is read of it shows in `predict` only.
+            ShadowError: the result has the observation itself, which only `predict` would read.
         """
         inputs = super().encode(obs, env)
         unread = {
@@ -114,8 +114,8 @@ class _Shadow(Policy):
             name = next((name for name, given in unread.items() if _is_copy(part, given)), None)
             if name is not None:
                 raise ShadowError(
-                    f"encode passes on {name} as it came, so that only predict, which shadow mode replaces, knows what "
-                    "the model is given: read the values in encode"
+                    f"encode returns {name} unchanged, so that only predict, which shadow mode replaces, reads the "
+                    "model's inputs from it: read the values in encode"
                 )
         return inputs
 
@@ -130,7 +130,7 @@ class _Shadow(Policy):
 
     def reset_env(self, env: int) -> None:
         """Call the adapter's `reset_env`, except for parts of the model."""
-        with contextlib.suppress(NotLoadedError):  # what belongs to the model
+        with contextlib.suppress(NotLoadedError):  # parts of the model
             super().reset_env(env)
 
     def __getattr__(self, name: str) -> Any:
@@ -161,7 +161,7 @@ class _Shadow(Policy):
         return interface.action.encode(steps, state, dict(known.commands.value or {}))
 
 
-# -- what a model would answer -----------------------------------------------------------------------------------------
+# -- ranges of the answers ---------------------------------------------------------------------------------------------
 
 
 def _ranges(policy: Policy, width: int, declared: Sequence[float] | None) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +200,7 @@ def _maps(value: object, depth: int) -> Iterator[Mapping[Any, Any]]:
 
 
 def _is_copy(value: Mapping[Any, Any], given: object) -> bool:
-    """Tell whether a map is a map of the observation, or holds all that this one does."""
+    """Return whether a map is a map of the observation, or has all of its values."""
     if value is given:
         return True
     return isinstance(given, Mapping) and len(given) > 1 and all(value.get(key) is given[key] for key in given)

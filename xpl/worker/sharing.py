@@ -70,7 +70,7 @@ class SharedModel:
         for place, request in enumerate(requests):
             try:
                 envs = self._observe(request)
-            except _FAILURES as error:  # noqa: PERF203 - each is tried alone
+            except _FAILURES as error:  # noqa: PERF203 - one failure must not stop the others
                 results[place] = error
             else:
                 if envs is not None:
@@ -124,7 +124,7 @@ class SharedModel:
         return numbers
 
     def _answers(self, envs_by_request: Mapping[int, list[int]]) -> dict[int, Any]:
-        """Return the chunks, or the exception, for each place that asked for some environments."""
+        """Return the chunks of each request's environments, or the exception, by index of the request."""
         together = [number for numbers in envs_by_request.values() for number in numbers]
         try:
             chunks = list(self._model.get_action_batch(together)) if together else []

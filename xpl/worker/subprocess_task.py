@@ -1,8 +1,8 @@
 """Subprocess tasks in the policy's interpreter: read a request file, write answers to another file, and end.
 
 Standard library and numpy only. A request is a packed map (`xpl.wire.packed`); so is each answer, after its length
-(u64, little endian), written as soon as it is known, so that the parent sees the progress. SIGUSR1 prints the stacks of
-all threads; the process ends after the last answer even if threads are left.
+(u64, little endian), written at once, so that the parent sees the progress. SIGUSR1 prints the stacks of all threads;
+the process ends after the last answer even if threads are left.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from xpl.wire import packed
 LENGTH = struct.Struct("<Q")
 """Length before each answer in the file."""
 FAILURES = (Exception, SystemExit)
-"""Errors of the code that is run; SystemExit, too: see `xpl.worker.main`."""
+"""Errors of the code that the task runs, SystemExit included: see `xpl.worker.main`."""
 ERROR = "error"
 TaskRequest = Mapping[str, Any]
 """Request of a task; its module documents the keys."""
@@ -57,7 +57,7 @@ def serve_requests(request_path: str, answers: str, load: Callable[[TaskRequest]
     """
     faulthandler.register(signal.SIGUSR1, all_threads=True)
     orders = os.fdopen(os.dup(0), encoding="utf-8")
-    with open(os.devnull, "rb") as nothing:  # noqa: PTH123 - a device: what the adapter runs has no standard input
+    with open(os.devnull, "rb") as nothing:  # noqa: PTH123 - a device: the adapter has no standard input
         os.dup2(nothing.fileno(), 0)
     first, play = load(packed.decode(Path(request_path).read_bytes()))
     _write(answers, [first, b""])

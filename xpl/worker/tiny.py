@@ -1,9 +1,9 @@
-"""Makes a tiny random checkpoint by a package's tiny.py, and measures how far each input moves the answer.
+"""Makes a tiny random checkpoint by a package's tiny.py, and measures the effect of each input on the action.
 
 A task in the policy's interpreter. tiny.py defines `write(folder, gain)`: it writes the real files of the model, of its
 real classes with a shrunken configuration. `gain(name)` is a factor, 1.0 at first, by which it scales the weights that
 read an input: a camera's name, "state", "instruction" or "history". Random weights often ignore an input; its gain then
-grows until the answer moves, or until it does not help any more.
+grows until the action changes enough, or until a larger gain has no more effect.
 
     {"policy_dir", "config", "manifest", "file", "function", "folder", "seed", "share", "most_bytes",
      "bases": [[observation, ...], ...], "inputs": [{"name", "gain", "observations": [[observation, ...], ...]}, ...]}
@@ -41,7 +41,7 @@ _ROUNDS = 7
 
 
 def main(asked: str, answers: str) -> NoReturn:
-    """Write a checkpoint as one file says, write what was measured to another, and end."""
+    """Write checkpoints as the request says, write the measured effects, and end the process."""
     run_once(asked, answers, _rounds)
 
 
@@ -130,11 +130,11 @@ def _size(folder: str | Path) -> int:
 
 
 def measure(model: Any, bases: Sequence[Sequence[Any]], inputs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Return by input how far it moves an answer: the largest change of a number, as a share of that number's span.
+    """Return by input its effect on an action: the largest change of a value, as a share of that value's span.
 
     Args:
-        model: an adapter's.
-        bases: episodes, each the observations up to the question.
+        model: an adapter's model.
+        bases: episodes, each the observations up to the inference.
         inputs: `name`, and `observations`: the same episodes with this input changed.
     """
     answers = [_answer(model, episode) for episode in bases]
@@ -149,9 +149,9 @@ def measure(model: Any, bases: Sequence[Sequence[Any]], inputs: Sequence[Mapping
 
 
 def _answer(model: Any, episode: Sequence[Any]) -> np.ndarray:
-    """Return the steps of an answer, (H, D), with all keys of the action side by side.
+    """Return the steps of an action chunk, (H, D), with all keys of the action concatenated.
 
-    Each question is asked in a first episode, so that a model that samples draws the same numbers for all.
+    Each episode counts as the first one, so that a model that samples draws the same numbers in all.
     """
     if isinstance(model, Policy):
         model._episodes = EpisodeCounter()  # noqa: SLF001 - its seeds are those of the first episode again

@@ -27,7 +27,7 @@ NOTES, BREAK_RESET = "watched_notes", "watched_break_reset"
 _SHOWING = (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH, spec.Method.INFER)
 _WATCHED = (*_SHOWING, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 _REMEMBERED = 8
-"""Observations that are looked at after every operation: the newest ones, which a model may still read."""
+"""Number of the newest observations that are checked after every operation: a model may still read them."""
 _PARTS = (spec.Method.RESET, "clear")
 
 
@@ -35,8 +35,8 @@ class WatchedModel:
     """Wrapper of a model that records what the model does to its observations.
 
     Args:
-        model: an adapter's model. What it is shown must be nobody else's, and may be written to: a change is to be
-            seen, not prevented, as read-only arrays would.
+        model: an adapter's model. Its observations must be separate, writable arrays: read-only ones would prevent the
+            changes that are recorded here.
     """
 
     def __init__(self, model: Any) -> None:
@@ -52,24 +52,24 @@ class WatchedModel:
         )
 
     def watched_notes(self) -> list[dict[str, str]]:
-        """Return what was noted so far: `what` (a kind), `method` and `key`, and for shared memory `with`."""
+        """Return the notes so far: `what` (a kind), `method` and `key`, and for shared memory `with`."""
         return list(self._notes)
 
     def watched_break_reset(self) -> list[str]:
-        """Reset once for every part of the model that can be reset, with that part failing; the model is reset then.
+        """Reset once for every part of the model that has a reset, with that part failing; then reset the model.
 
         Returns:
-            the parts that failed during such a reset; a note tells of each whose failure the reset swallowed.
+            the parts that failed during such a reset; a note names each whose failure the reset suppressed.
         """
         tried = []
         for label, owner, name in _parts(self._model):
-            if self._last is not None:  # where nothing was shown there may be nothing to reset
+            if self._last is not None:  # without an observation there may be nothing to reset
                 method, argument = self._last
                 getattr(self._model, method)(copy_value(argument))
             with _failing_method(owner, name) as calls:
                 try:
                     self._model.reset()
-                except (Exception, SystemExit):  # noqa: BLE001 - any is as loud as another
+                except (Exception, SystemExit):  # noqa: BLE001 - any exception reports the failure
                     swallowed = False
                 else:
                     swallowed = True
@@ -151,12 +151,12 @@ def _failing_method(owner: object, name: str) -> Iterator[list[str]]:
 
     def fail(*_: Any, **__: Any) -> None:
         calls.append(name)
-        raise RuntimeError(f"{name} fails: the audit looks whether reset says so")
+        raise RuntimeError(f"{name} fails: the audit checks whether reset reports it")
 
     had, before = name in vars(owner), vars(owner).get(name)
     try:
         setattr(owner, name, fail)
-    except Exception:  # noqa: BLE001 - it cannot be replaced, so it cannot be tried
+    except Exception:  # noqa: BLE001 - a method that cannot be replaced cannot be tested
         yield calls
         return
     try:
@@ -174,7 +174,7 @@ def _arrays(value: object) -> Iterator[tuple[ValuePath, np.ndarray]]:
         if isinstance(leaf, np.ndarray):
             yield key, leaf
         elif hasattr(leaf, "detach"):
-            with contextlib.suppress(Exception):  # of a type that numpy has not, or elsewhere than in memory
+            with contextlib.suppress(Exception):  # a type that numpy lacks, or a tensor on another device
                 yield key, leaf.detach().numpy()
 
 

@@ -50,7 +50,7 @@ def _glimpsed(steps: int = 8) -> dict[str, Any]:
     results["states"] = len(episode._states)
     results["result"] = env.results()[0]
     try:
-        results["seen"] = _shown(env, episode._cameras_renderer.seen(episode._env.env, episode._obs)["cam_head"])
+        results["seen"] = _shown(env, episode._renderer.seen(episode._env.env, episode._obs)["cam_head"])
     except Exception as error:
         if type(error).__name__ != "RendererMissingError":
             raise

@@ -241,7 +241,7 @@ def test_changes_are_played_one_after_another() -> None:
     ]
     told = [packed.decode(answer) for answer in play.changes(model, wanted, calls, 100.0)]
     assert "it changes nothing" in told[0]["error"]
-    assert "nobody here knows the change nonsense" in told[-1]["error"]
+    assert "unknown change nonsense" in told[-1]["error"]
     plain = np.tanh(np.concatenate((shown[1]["state"]["arm_joint_state"], shown[1]["state"]["ee_joint_state"]))) * 0.4
     assert told[1]["result"]["answers"][1][0]["arm_joint_state"] == pytest.approx(plain[:7] + 0.1, abs=1e-6)
     ordered = told[-2]["result"]["answers"][1][0]["arm_joint_state"]

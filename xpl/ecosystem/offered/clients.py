@@ -1,4 +1,4 @@
-"""The client that evaluation loops of the field receive, by the names that it has there."""
+"""The client of XPolicyLab's evaluation loops, under its names there."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ _Client = TypeVar("_Client")
 
 
 class WsModelClient:
-    """Asks a policy server over the wire of the standard.
+    """Client of a policy server, over the wire of the standard.
 
     Args:
-        url: its address, `ws://host:port`.
-        evaluation_id, trial_id, action_case_id, repeat_index: what an evaluation calls itself, which all frames bear.
-        client: an `xpl.Client` that is connected already.
-        limits: as `xpl.Client` takes them: `ws_ping_interval_s`, `request_timeout_s` and so on.
+        url: address of the server, `ws://host:port`.
+        evaluation_id, trial_id, action_case_id, repeat_index: identifiers of the evaluation, which all frames carry.
+        client: a connected `xpl.Client`, used in place of a new one.
+        limits: options of `xpl.Client`: `ws_ping_interval_s`, `request_timeout_s` and so on.
     """
 
     def __init__(  # noqa: PLR0913, PLR0917 - as loops call it
@@ -46,19 +46,19 @@ class WsModelClient:
         """Run a method of the policy and return what it returns.
 
         Args:
-            func_name: the method.
+            func_name: name of the method.
             obs: its argument.
-            named: nothing; a method takes one argument, which is called `obs`.
+            named: must be empty; a method has one argument, `obs`.
 
         Raises:
-            TypeError: if there is another argument: it would not arrive.
+            TypeError: there is another argument, which the server would not get.
         """
         if named:
-            raise TypeError(f"call takes func_name and obs, got {', '.join(named)} too: hand it over as obs")
+            raise TypeError(f"call takes func_name and obs, got {', '.join(named)} too: pass it as obs")
         return self._client.call(func_name, obs)
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self._client.close()
 
     def __enter__(self: _Client) -> _Client:  # noqa: PYI019 - Python 3.9
@@ -69,11 +69,11 @@ class WsModelClient:
 
 
 class ModelClient(WsModelClient):
-    """The same, for who knows a host and a port.
+    """`WsModelClient` by host and port.
 
     Args:
-        host, port: the server's.
-        timeout: taken, and not used: the client of the standard has its own patience.
+        host, port: address of the server.
+        timeout: not used: `xpl.Client` has its own timeouts.
     """
 
     def __init__(self, host: str = "localhost", port: int = 9999, timeout: float = 30) -> None:  # noqa: ARG002 - as above

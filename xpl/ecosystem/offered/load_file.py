@@ -1,4 +1,4 @@
-"""Files that adapters of the field read: YAML, JSON and HDF5."""
+"""Readers of YAML, JSON and HDF5 that XPolicyLab's adapters call."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 
 
 def load_json(path: Any) -> Any:
-    """Return what a JSON file holds."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))  # noqa: TID251 - the policy's own, as upstream reads it
+    """Return the content of a JSON file."""
+    return json.loads(Path(path).read_text(encoding="utf-8"))  # noqa: TID251 - a file of the policy, read as upstream does
 
 
 def load_yaml(path: Any) -> Any:
-    """Return what a YAML file holds; needs PyYAML."""
+    """Return the content of a YAML file; needs PyYAML."""
     import yaml
 
     return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
 
 
 def load_hdf5(path: Any) -> dict[str, Any]:
-    """Return what an HDF5 file holds, groups as maps and its attributes under `_attrs`; needs h5py."""
+    """Return the content of an HDF5 file, groups as maps and its attributes under `_attrs`; needs h5py."""
     h5py = importlib.import_module("h5py")
 
     with h5py.File(path, "r") as file:

@@ -1,4 +1,4 @@
-"""The class that adapters of the field derive from."""
+"""The base class of XPolicyLab's adapters."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ class ModelTemplate:
     """Base class of adapters; they override the methods that they support.
 
     Attributes:
-        model: the adapter's own.
+        model: the adapter's own model.
     """
 
     def __init__(self, *_: Any, **__: Any) -> None:

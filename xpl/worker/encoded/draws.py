@@ -1,4 +1,4 @@
-"""Changes of what an adapter draws: from each environment's own generator, whatever it asks, and in which precision."""
+"""Changes of the random numbers that an adapter draws: their generators and their precision."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ _DRAWN = {
     "rand": "random",
     "random_sample": "random",
 }
-"""Functions of `numpy.random` and of its older generators, and what generators call them."""
+"""Functions of `numpy.random` and of its legacy generators, and the equivalent methods of `Generator`."""
 _SPREAD = {"randn", "rand"}
-"""Take the shape as so many arguments."""
+"""Functions that take the shape as separate arguments."""
 _MADE = "default_rng"
 _SIZED = {"standard_normal": 0, "random": 0, "normal": 2, "uniform": 2}
-"""Place of the size among the arguments."""
+"""Index of the size among the arguments."""
 _LIBRARY = "torch"
-"""Draws by itself: what it draws is not counted here."""
+"""Library with generators of its own, whose draws are not counted."""
 
 
 class EnvGenerators:
-    """Has a model draw from its environments' generators, each asked in its turn.
+    """Makes a model draw from the generators of its environments, in turn.
 
     Args:
-        model: the adapter's.
+        model: the adapter's model.
         how: `as`: own, or single or double for another precision.
     """
 
@@ -48,19 +48,19 @@ class EnvGenerators:
         self.count = 0
 
     def predict(self, inputs: object, envs: list[int]) -> Any:
-        """Return what the model predicts with these draws."""
+        """Return the model's output with these draws."""
         self._envs, self._draws = envs, 0
         with self._instead():
             return self._predict(inputs, envs)
 
     @property
     def report(self) -> dict[str, Any]:
-        """How many times something was drawn; None if that is not known."""
+        """Number of draws, as `draws`; None if it is unknown."""
         return {"draws": None if _LIBRARY in sys.modules and not self.count else self.count}
 
     @contextmanager
     def _instead(self) -> Iterator[None]:
-        """Have whoever asks for numbers ask here."""
+        """Replace the functions of `numpy.random` and the model's `rng` within a `with` block."""
         originals = {name: getattr(np.random, name) for name in (*_DRAWN, _MADE)}
         try:
             for name in _DRAWN:
@@ -74,13 +74,13 @@ class EnvGenerators:
             del self._model.rng
 
     def _function(self, name: str) -> Callable[..., Any]:
-        def drawn(*arguments: Any, **more: Any) -> Any:  # each call is another environment's
+        def drawn(*arguments: Any, **more: Any) -> Any:  # each call draws for the next environment
             return getattr(self._source(), name)(*arguments, **more)
 
         return drawn
 
     def _maker(self, real: Callable[..., Any]) -> Callable[..., Any]:
-        """Return what makes generators: these for the adapter's own module, others for whoever needs them else."""
+        """Return a replacement of `default_rng`: it affects the adapter's own module only."""
         own = type(self._model).__module__
 
         def made(*arguments: Any, **more: Any) -> Any:
@@ -90,13 +90,13 @@ class EnvGenerators:
         return made
 
     def _source(self) -> _Source:
-        """Return the generator of the environment whose turn it is."""
+        """Return the generator of the next environment."""
         env = self._envs[self._draws % len(self._envs)]
         self._draws += 1
         return _Source(self, env)
 
     def draw(self, env: int, name: str, *arguments: Any, **more: Any) -> Any:
-        """Draw for an environment; for all, if the first axis counts them."""
+        """Draw for one environment, or for all if the first axis is as long as the batch."""
         self.count += 1
         kind = _DRAWN[name]
         place = 0 if name in _SPREAD else _SIZED[kind]
@@ -114,7 +114,7 @@ class EnvGenerators:
 
 
 class _Source:
-    """What an adapter takes for a generator."""
+    """Generator that the adapter gets."""
 
     def __init__(self, drawn: EnvGenerators, env: int) -> None:
         self._drawn, self._env = drawn, env

@@ -1,9 +1,9 @@
-"""Answers the same questions with one change of the encoded inputs after another (`xpl.worker.perturbed_answers`).
+"""Answers the same calls under one change of the encoded inputs after another (`xpl.worker.perturbed_answers`).
 
-What an audit looks for the mistake with where an adapter converts in code: pictures that `encode` made are scaled
-otherwise, texts and vectors written otherwise, while `decode` sees what was shown. Of each change the answer has
-"answers", the chunk of every question; "apart", how far pictures are from those before; "draws", how many times
-something was drawn; "words", if the process knows better what the change is; or there is an "error".
+The audit's mistake search uses it for an adapter that converts in code: the images, texts and vectors that `encode`
+returns are changed, while `decode` gets the observations as they are. The answer to each change has "answers", the
+chunks of all inferences; "apart", the distance of the images from the unchanged ones; "draws", the number of draws;
+"words", a more precise description of the change, if there is one; or an "error".
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ if TYPE_CHECKING:
     from xpl.policy import Policy
 
 _MOST_KEPT = 64
-"""Observations whose inputs are kept."""
+"""Most observations whose inputs are cached."""
 _SAMPLES = 6
-"""Observations by which it is seen what numbers are."""
+"""Number of observations in which rotations and statistics are identified."""
 
 Encode = Callable[[Observation, int], Any]
 
@@ -85,13 +85,13 @@ def changes(
 
 
 def _merge_reports(before: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is to be told of several changes: words of each that knows better."""
+    """Return the report of several changes; their descriptions are joined."""
     words = [report["words"] for report in (before, more) if "words" in report]
     return {**before, **more, **({"words": " and ".join(words)} if len(words) > 1 else {})}
 
 
 def _cached_encode(encode: Encode) -> Encode:
-    """Return an `encode` that makes the inputs of an observation once; what it returns may be written to."""
+    """Return an `encode` that converts each observation once; the caller may write to its results."""
     cache: dict[tuple[int, int], tuple[Any, Any]] = {}
 
     def remembered(obs: Observation, env: int) -> Any:
@@ -115,10 +115,10 @@ def _drawn(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
 
 
 def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
-    """Return the answers where no state is advanced twice by one observation, packed.
+    """Return the answers of a model whose state no observation advances twice, packed.
 
     Raises:
-        NoEffectError: if none is.
+        NoEffectError: no method is called twice.
     """
     once = StepOncePerObservation()
     with once.around(model):
@@ -129,17 +129,17 @@ def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
 
 
 _WHOLE = {"drawn": _drawn, "once": _once}
-"""Changes of all that a model does, by kind."""
+"""Changes that run the model by themselves, by kind."""
 
 
 def _batched(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
-    """Return the model with the inputs of a batch changed."""
+    """Return a `predict` that changes the inputs of a batch."""
     change = catalogue.lookup("input_changes", how["kind"])
     return lambda inputs, envs: predicts(change(inputs, how), envs)
 
 
 def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
-    """Return the model with its answers changed."""
+    """Return a `predict` that changes the model's output."""
     change = catalogue.lookup("input_changes", how["kind"])
 
     def predict(inputs: object, envs: list[int]) -> Any:
@@ -151,10 +151,10 @@ def _answering(predicts: Callable[..., Any], how: Entry) -> Callable[..., Any]:
 def _wrapped(
     model: Policy, own: Encode, how: Entry, samples: Sequence[Observation], known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
-    """Return an `encode` with a change, and what is to be told of it.
+    """Return an `encode` with a change, and the report of the change.
 
     Raises:
-        NoEffectError: if the change has no meaning here.
+        NoEffectError: the change does not apply to this adapter.
     """
     sample = samples[0]
 
@@ -184,7 +184,7 @@ def _wrapped(
         return (lambda obs, env: turn(cached_encode(obs, env))), {}
     change = catalogue.lookup("input_changes", kind)
     if change is None:
-        raise NoEffectError(f"nobody here knows the change {kind}")
+        raise NoEffectError(f"unknown change {kind}")
     before = encode(sample)
     if _equal(change(before, how), before):
         raise NoEffectError("it changes nothing")
@@ -194,10 +194,10 @@ def _wrapped(
 def _resized(
     own: Encode, encode: EncodeOne, how: Entry, sample: Observation, known: dict[str, Any]
 ) -> tuple[Encode, dict[str, Any]]:
-    """Return an `encode` whose pictures got their size otherwise: shown in that size, or made again.
+    """Return an `encode` with another resize: of its observations, or of rebuilt images.
 
     Raises:
-        NoEffectError: if that cannot be done.
+        NoEffectError: neither applies to this adapter.
     """
     steps, exchanged = how["steps"], bool(how.get("exchanged"))
     if "pictures" not in known:
@@ -217,7 +217,7 @@ def _resized(
 
 
 def _tried(make: Callable[..., Any], *arguments: Any) -> Any:
-    """Return what is made, or why it is not."""
+    """Return the result, or the error that says why the change does not apply."""
     try:
         return make(*arguments)
     except NoEffectError as error:

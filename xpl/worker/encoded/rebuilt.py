@@ -1,7 +1,7 @@
-"""Encoded pictures made again by another geometry, whatever the adapter does to the size of what it is shown.
+"""Encoded images rebuilt with another geometry, whatever resize the adapter applies.
 
-Black, white, red and ramps tell which camera lies where in the encoded pictures, in what numbers, order of colours and
-orientation. That stays; how a picture gets its size is exchanged.
+Black, white, red and ramp images identify the region of each camera in the encoded images, its value range, channel
+order and orientation. These stay; the resize is exchanged.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _COLOURS = 3
 
 @dataclass(frozen=True)
 class _ImageRegion:
-    """Where a camera's picture lies.
+    """Region of a camera's image in the encoded inputs.
 
     Attributes:
-        leaf, plane: number of the encoded array, and of the picture in it.
-        rows, columns: in the picture.
-        black, white: numbers of the channels, (3,).
-        order: which colour each channel is.
-        is_turned: whether rows are columns.
-        flips: whether rows, and columns, are the other way round.
-        is_alone: whether nothing else lies in the picture.
+        leaf, plane: index of the encoded array, and of the image in it.
+        rows, columns: region in the image.
+        black, white: values of black and white by channel, (3,).
+        order: RGB index of each channel.
+        is_turned: whether rows and columns are transposed.
+        flips: whether rows, and columns, are reversed.
+        is_alone: whether the image has no other camera.
     """
 
     leaf: int
@@ -55,14 +55,14 @@ class _ImageRegion:
 
 
 class RebuiltImages:
-    """Knows where an adapter's pictures lie.
+    """Rebuilds encoded images with another geometry.
 
     Args:
-        encode: the adapter's.
+        encode: the adapter's `encode`.
         sample: an observation.
 
     Raises:
-        NoEffectError: if that cannot be seen.
+        NoEffectError: no camera has a region in the encoded images.
     """
 
     def __init__(self, encode: EncodeOne, sample: Observation) -> None:
@@ -81,16 +81,16 @@ class RebuiltImages:
             raise NoEffectError("no camera is seen")
 
     def __call__(self, value: Any, obs: Observation, steps: Sequence[Entry], *, exchanged: bool = False) -> Any:
-        """Return encoded inputs whose pictures got their size otherwise.
+        """Return encoded inputs whose images were resized by other steps.
 
         Args:
-            value: what the adapter made of the observation.
+            value: result of the adapter's `encode`.
             obs: the observation.
-            steps: geometry in the words of a model_io block, without `to`.
+            steps: steps of a model_io block, without `to`.
             exchanged: whether height and width are exchanged.
 
         Raises:
-            NoEffectError: if a picture cannot be of that size.
+            NoEffectError: an image joins several cameras, so that its height and width cannot be exchanged.
         """
         arrays = [_flat(leaf) for leaf in leaves(value) if channel_axis(leaf) is not None]
         made = [np.swapaxes(array, 1, 2).copy() if exchanged else array.copy() for array in arrays]
@@ -116,7 +116,7 @@ class RebuiltImages:
         return map_leaves(value, change)
 
     def _planes(self, colours: Mapping[str, np.ndarray]) -> list[np.ndarray]:
-        """Return the encoded pictures of cameras of one colour, or of such pictures, the others black."""
+        """Return the encoded images of observations with these colours or images by camera, the others black."""
         vision = {}
         for name, was in self._sample[spec.Obs.VISION].items():
             shape = np.shape(was.get(spec.Camera.COLOR, ()))
@@ -132,7 +132,7 @@ class RebuiltImages:
         white: Sequence[np.ndarray],
         whites: Mapping[str, Sequence[np.ndarray]],
     ) -> list[_ImageRegion]:
-        """Return where a camera's picture lies."""
+        """Return the regions of a camera's image."""
         height, width = np.shape(self._sample[spec.Obs.VISION][camera][spec.Camera.COLOR])[:2]
         colours = [self._planes({camera: one}) for one in 255.0 * np.eye(_COLOURS)]
         across = self._planes({camera: np.linspace(0, 255, width)[None, :, None]})
@@ -170,7 +170,7 @@ class RebuiltImages:
 
 
 def _flat(leaf: np.ndarray) -> np.ndarray:
-    """Return pictures as (N, H, W, 3) float64."""
+    """Return images as (N, H, W, 3) float64."""
     array = np.moveaxis(leaf, channel_axis(leaf) or -1, -1)
     return array.reshape(-1, *array.shape[-3:]).astype(np.float64)
 
@@ -189,7 +189,7 @@ def _centre(mask: np.ndarray) -> tuple[float, float]:
 def _shared(
     shape: tuple[int, ...], own: tuple[float, float], boxes: Sequence[tuple[float, float]]
 ) -> tuple[slice, slice]:
-    """Return the part of a picture that is one camera's, where several lie beside or below each other."""
+    """Return the part of one camera in an image that joins several side by side or one below the other."""
     if len(boxes) < 2:
         return slice(0, shape[0]), slice(0, shape[1])
     axis = 0 if np.ptp([one[0] for one in boxes]) > np.ptp([one[1] for one in boxes]) else 1
@@ -199,7 +199,7 @@ def _shared(
 
 
 def _slopes(picture: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
-    """Return how much a picture rises by row and by column."""
+    """Return the slopes of an image by row and by column."""
     rows, columns = np.nonzero(mask)
     design = np.stack((rows, columns, np.ones(len(rows))), axis=-1)
     by_row, by_column, _ = np.linalg.lstsq(design, picture.sum(-1)[mask], rcond=None)[0]
@@ -207,7 +207,7 @@ def _slopes(picture: np.ndarray, mask: np.ndarray) -> tuple[float, float]:
 
 
 def _made(image: np.ndarray, region: _ImageRegion, steps: Sequence[Entry], size: Sequence[int]) -> np.ndarray:
-    """Return a camera's picture in the numbers of the encoded ones."""
+    """Return a camera's image in the values of the encoded inputs."""
     shape = tuple(size)[::-1] if region.is_turned else tuple(size)
     entry = {"input": "", "channels": "rgb", "layout": "hwc", "dtype": "uint8", "cameras": [""]}
     made = ImageInput({**entry, "steps": whole(steps, shape, image.shape)}).view(image)

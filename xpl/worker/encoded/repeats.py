@@ -1,4 +1,4 @@
-"""Calls that advance a model's state twice by one observation: the second one is left out."""
+"""Calls that advance a model's state twice by one observation; the second one is left out."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 _OURS = ("builtins", "numpy", "xpl")
 _MOST = 64
-"""Methods that are watched at most."""
+"""Most methods that are wrapped."""
 
 
 class StepOncePerObservation:
-    """Answers calls of the adapter's parts that are the call before once more as that was answered.
+    """Returns the previous result for a repeated call of a method of the model's attributes.
 
-    Such a call has equal arguments, but for those that the call before returned: the state that it led to.
+    A repeated call has the arguments of the previous one, except those that it returned: the advanced state.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class StepOncePerObservation:
 
     @contextmanager
     def around(self, model: Any) -> Iterator[None]:
-        """Watch the public methods of the objects that a model holds."""
+        """Wrap the public methods of a model's attributes within a `with` block."""
         watched = list(_methods(model))[:_MOST]
         for place, name in watched:
             setattr(place, name, self._watched(f"{id(place)} {name}", getattr(place, name)))
@@ -51,7 +51,7 @@ class StepOncePerObservation:
 
 
 def _methods(model: Any) -> Iterator[tuple[Any, str]]:
-    """Yield the objects that a model holds, and the names of their public methods that may be exchanged."""
+    """Yield the attributes of a model, and the names of their public methods that can be replaced."""
     for held in list(vars(model).values()):
         if type(held).__module__.partition(".")[0] in _OURS or not hasattr(held, "__dict__"):
             continue
@@ -68,7 +68,7 @@ def _is_again(before: tuple[Sequence[Any], Mapping[str, Any], Any], arguments: S
     returned = list(result) if isinstance(result, (tuple, list)) else [result]
     pairs = [*zip(were, arguments), *((were_named[key], named[key]) for key in named)]
     equal = [_equal(one, other) for one, other in pairs]
-    # What is neither as before nor what was returned is another question.
+    # An argument that is neither equal nor the previous result makes it another call.
     return any(equal) and all(same or any(other is one for one in returned) for same, (_, other) in zip(equal, pairs))
 
 

@@ -1,4 +1,4 @@
-"""Parts of encoded vectors that are a field of the state, normalised by numbers of the adapter's or its package's."""
+"""Segments of encoded vectors that are a field of the state, normalised by other statistics of the package."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from xpl.contract import Entry, Observation
 
 _WIDTHS = range(3, 10)
-"""Of a position, and of an arm's joints."""
+"""Widths of a position, and of an arm's joints."""
 _MOST_ARRAYS = 10
 _NEAR = 1e-4
 _ENDS = (-1.0, 0.0, 1.0)
-"""Where numbers are clipped."""
+"""Values at which normalised numbers are clipped."""
 
 
 @dataclass(frozen=True)
 class _Segment:
-    """A part of a vector.
+    """A segment of a vector.
 
     Attributes:
-        start, width: where it is.
-        line: number of the normalisation that it has.
+        start, width: its offset and length.
+        line: index of its normalisation.
     """
 
     start: int
@@ -41,12 +41,12 @@ class _Segment:
 
 
 class RenormalizedSegments:
-    """Normalises parts of vectors otherwise.
+    """Normalises segments of vectors by other statistics.
 
     Args:
-        model: the adapter's.
-        encode: its own.
-        samples: observations by which parts are known.
+        model: the adapter's model.
+        encode: its `encode`.
+        samples: observations in which segments are identified.
     """
 
     def __init__(self, model: Any, encode: EncodeOne, samples: Sequence[Observation]) -> None:
@@ -62,10 +62,10 @@ class RenormalizedSegments:
         self._changes = list(dict.fromkeys((one.width, one.line) for one in used))
 
     def change(self, value: Any, how: Entry) -> tuple[Any, str]:
-        """Return encoded inputs with parts normalised otherwise, and how.
+        """Return encoded inputs with segments normalised by other statistics, and the description of the change.
 
         Raises:
-            NoEffectError: if there are no such parts or numbers.
+            NoEffectError: there are no such segments or statistics.
         """
         wanted = [
             (width, line, other)
@@ -92,7 +92,7 @@ class RenormalizedSegments:
         return map_leaves(value, change), f"normalize: {words}, not {was}"
 
     def _parts(self, rows: np.ndarray, fields: Sequence[Mapping[str, np.ndarray]]) -> Iterator[_Segment]:
-        """Yield the parts of a vector that are fields, normalised by one of the lines."""
+        """Yield the segments of a vector that are fields of the state under one of the normalisations."""
         for width in _WIDTHS:
             for start in range(rows.shape[1] - width + 1):
                 part = rows[:, start : start + width]
@@ -104,7 +104,7 @@ class RenormalizedSegments:
 
 
 def _field_values(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Iterator[np.ndarray]:
-    """Yield rows of fields of a width, and of positions, as they are and the other way round."""
+    """Yield rows of fields of a width, and of positions, as they are and reversed."""
     for name in fields[0]:
         size = spec.POSITION_DIM if name.endswith("pose") else len(fields[0][name])
         if size == width:
@@ -114,7 +114,7 @@ def _field_values(fields: Sequence[Mapping[str, np.ndarray]], width: int) -> Ite
 
 
 def _are_near(one: np.ndarray, other: np.ndarray, free: np.ndarray) -> bool:
-    """Tell whether numbers are the same, but for those that may have been clipped."""
+    """Return whether values are equal, except those that may have been clipped."""
     near = np.abs(one - other) < _NEAR * (1 + np.abs(other))
     return bool(near[free].all() and 2 * free.sum() >= free.size)
 
@@ -129,7 +129,7 @@ def _is_one(leaf: object) -> bool:
 
 
 def _turned(arrays: Mapping[str, np.ndarray]) -> Iterator[Any]:
-    """Yield normalisations by these numbers, and by the same in the other order."""
+    """Yield the normalisations by these arrays, and by the reversed ones."""
     both = [arrays, {f"{name} reversed": values[::-1] for name, values in arrays.items()}]
     for place, line in enumerate(itertools.chain(*map(lines, both))):
         if place == 0 or line[0] != "none":
@@ -137,7 +137,7 @@ def _turned(arrays: Mapping[str, np.ndarray]) -> Iterator[Any]:
 
 
 def _arrays(model: Any, width: int) -> dict[str, np.ndarray]:
-    """Return the vectors of a width in modules of the adapter's package, and in the model, by their names."""
+    """Return the vectors of a width in the modules of the adapter's package and in the model, by name."""
     own = type(model).__module__
     package = own.rpartition(".")[0]
     modules = [own, *(name for name in sorted(sys.modules) if package and name.startswith(f"{package}."))]

@@ -1,4 +1,4 @@
-"""Changes of rotations in encoded vectors, wherever they lie: four numbers of length one, or two unit vectors."""
+"""Changes of rotations at any offset of encoded vectors: four numbers of length one, or two unit vectors."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Function = Callable[[np.ndarray], np.ndarray]
 
 
 class RotatedInputs:
-    """Changes how rotations are written.
+    """Changes the representation of rotations.
 
     Args:
-        samples: encoded inputs of several observations, by which rotations are known.
-        how: `turn`, one of those below.
+        samples: encoded inputs of several observations, in which rotations are identified.
+        how: `turn`, a key of `_TURNS`.
 
     Raises:
-        NoEffectError: if there is none.
+        NoEffectError: the vectors have no such rotation.
     """
 
     def __init__(self, samples: Sequence[Any], how: Entry) -> None:
@@ -56,7 +56,7 @@ class RotatedInputs:
         return map_leaves(value, change)
 
     def _find_offsets(self, rows: np.ndarray, is_one: Callable[[np.ndarray], bool]) -> list[int]:
-        """Return where rotations begin."""
+        """Return the offsets of rotations."""
         places, place = [], 0
         while place + self._width <= rows.shape[1]:
             if is_one(rows[:, place : place + self._width]):
@@ -100,7 +100,7 @@ def _interleaved(values: np.ndarray) -> np.ndarray:
 
 
 def _apart(values: np.ndarray) -> np.ndarray:
-    """Return the first two rows, of two columns number by number."""
+    """Return the first two rows of the matrix whose first two columns are interleaved."""
     columns = np.concatenate((values[..., 0::2], values[..., 1::2]), axis=-1)
     return _transposed(columns)
 
@@ -123,4 +123,4 @@ _TURNS: dict[str, tuple[int, Callable[[np.ndarray], bool], Function]] = {
     "positive_last": (_QUATERNION, _is_unit, _signed(-1)),
     "negative": (_QUATERNION, _is_unit, np.negative),
 }
-"""Numbers of a rotation, how it is known, and what becomes of it."""
+"""Width of a rotation, the test that identifies it, and its change."""

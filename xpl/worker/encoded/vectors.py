@@ -1,4 +1,4 @@
-"""Encoded vectors normalised by numbers that the adapter has but does not use, or uses wrongly."""
+"""Encoded vectors normalised by other statistics of the adapter's module or model."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ _NEAR = 1e-4
 _EPSILON = 1e-6
 
 Line = tuple[str, LeafChange, LeafChange]
-"""A normalisation by its words: there and back."""
+"""A normalisation: description, function and inverse."""
 
 
 class RenormalizedInputs:
-    """Normalises vectors by numbers that lie in the adapter's own module and model.
+    """Normalises vectors by other arrays of the adapter's module and model.
 
     Args:
-        model: the adapter's.
-        encode: its own.
+        model: the adapter's model.
+        encode: its `encode`.
         sample: an observation.
     """
 
@@ -42,10 +42,10 @@ class RenormalizedInputs:
         return len(self._lines)
 
     def change(self, value: object, how: Entry) -> tuple[Any, str]:
-        """Return encoded inputs with vectors normalised otherwise, and how.
+        """Return encoded inputs with vectors normalised by other statistics, and the description of the change.
 
         Raises:
-            NoEffectError: if there are no such numbers, or it is how they are normalised already.
+            NoEffectError: there are no such statistics, or the adapter uses them already.
         """
         number = how["number"]
         if number >= len(self._lines) or self._now is None or number == self._now:
@@ -59,7 +59,7 @@ class RenormalizedInputs:
         return map_leaves(value, change), f"normalize: {words}, not {self._lines[self._now][0]}"
 
     def _count_state_values(self, value: object, sample: Observation) -> int | None:
-        """Return by which numbers the vectors are normalised now: undone, most of them are those of the state."""
+        """Return the index of the adapter's normalisation: its inverse gives most values of the state; None if none."""
         state = np.concatenate([np.ravel(item) for item in sample[spec.Obs.STATE].values() if _is_numbers(item)])
         vector = next((leaf for leaf in leaves(value) if channel_axis(leaf) is None and is_vector(leaf)), None)
         best: tuple[int, int | None] = (0, None)
@@ -76,7 +76,7 @@ def _is_numbers(item: object) -> bool:
 
 
 def lines(arrays: Mapping[str, Any]) -> Iterator[Line]:
-    """Yield normalisations by pairs of vectors, none of them first."""
+    """Yield the normalisations by pairs of vectors; the first one changes nothing."""
     yield "none", _same, _same
     for (one, low), (other, high) in itertools.permutations(arrays.items(), 2):
         span = high - low
@@ -97,7 +97,7 @@ def _line(shift: object, scale: object) -> tuple[LeafChange, LeafChange]:
 
 
 def _arrays(model: Any, width: int) -> dict[str, np.ndarray]:
-    """Return the vectors of a width in the adapter's module and model, by their names."""
+    """Return the vectors of a width in the adapter's module and model, by name."""
     module = sys.modules.get(type(model).__module__)
     return of_width([{**vars(module), **vars(model)} if module is not None else vars(model)], width, _MOST_ARRAYS)
 
@@ -123,7 +123,7 @@ def of_width(namespaces: Iterable[Mapping[Any, Any]], width: int, most: int) -> 
 
 
 def named(namespace: Mapping[Any, Any], depth: int = 3) -> Iterator[tuple[str, Any]]:
-    """Yield what may be numbers, in a module or an object and in its maps, by dotted names."""
+    """Yield the lists, arrays and tensors of a namespace and its maps, by dotted name."""
     for name, value in list(namespace.items()):
         if not isinstance(name, str) or name.startswith("__"):
             continue
