@@ -73,19 +73,19 @@ class Client(ClientBase):
 
     def update_obs(self, obs: Observation) -> None:
         """Send the newest observation of one environment to the policy."""
-        self._run(self._conversation.update_obs(obs))
+        self._run(self._conversation.send_observation(obs))
 
     def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
         """Send the newest observations of several environments to the policy."""
-        self._run(self._conversation.update_obs_batch(obs_list))
+        self._run(self._conversation.send_observations(obs_list))
 
     def get_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
-        return self._run(self._conversation.get_action(obs))
+        return self._run(self._conversation.request_action(obs))
 
     def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the environments of the last batch."""
-        return self._run(self._conversation.get_action_batch(env_idx_list))
+        return self._run(self._conversation.request_actions(env_idx_list))
 
     def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action in one request."""

@@ -49,25 +49,25 @@ class Conversation:
         """Start a new episode; `meta` reaches the server, not the adapter."""
         raise NotImplementedError
 
-    async def update_obs(self, obs: Observation) -> None:
+    async def send_observation(self, obs: Observation) -> None:
         """Send the newest observation of one environment to the policy."""
         raise NotImplementedError
 
-    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
+    async def send_observations(self, obs_list: Sequence[Observation]) -> None:
         """Send the newest observations of several environments to the policy."""
         raise NotImplementedError
 
-    async def get_action(self, obs: Observation | None = None) -> Any:
+    async def request_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
         raise NotImplementedError
 
-    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+    async def request_actions(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the environments of the last batch."""
         raise NotImplementedError
 
     async def infer(self, obs: Observation) -> Any:
         """Return the action chunk for one observation: update_obs and get_action in one request."""
-        return await self.get_action(obs)
+        return await self.request_action(obs)
 
     # -- the other requests --------------------------------------------------------------------------------------------
 
@@ -115,10 +115,10 @@ class Conversation:
 
     _operations: ClassVar[Mapping[str, Callable[[Conversation, Any], Coroutine[Any, Any, Any]]]] = {
         spec.Method.RESET: lambda self, obs: self.reset(_map(spec.Method.RESET, obs)),
-        spec.Method.UPDATE_OBS: lambda self, obs: self.update_obs(obs),
-        spec.Method.UPDATE_OBS_BATCH: lambda self, obs: self.update_obs_batch(obs),
-        spec.Method.GET_ACTION: lambda self, obs: self.get_action(obs),
-        spec.Method.GET_ACTION_BATCH: lambda self, obs: self.get_action_batch(obs),
+        spec.Method.UPDATE_OBS: lambda self, obs: self.send_observation(obs),
+        spec.Method.UPDATE_OBS_BATCH: lambda self, obs: self.send_observations(obs),
+        spec.Method.GET_ACTION: lambda self, obs: self.request_action(obs),
+        spec.Method.GET_ACTION_BATCH: lambda self, obs: self.request_actions(obs),
         spec.Message.INFER: lambda self, obs: self.infer(obs),
         spec.Message.PREPARE_CASE: _prepare,
         spec.Message.TRIAL_END: lambda self, obs: self.trial_end(_map(spec.Message.TRIAL_END, obs)),

@@ -67,19 +67,19 @@ class FramedConversation(Conversation):
         payload = {spec.Payload.TRIAL_ID: self._labels.trial_id, **(meta or {})}
         return (await self._exchange.request(spec.Message.RESET, payload)).get(spec.Payload.RESULT)
 
-    async def update_obs(self, obs: Observation) -> None:
+    async def send_observation(self, obs: Observation) -> None:
         """Send the newest observation of one environment to the policy."""
         self._buffered = [obs]
         if not self._exchange.is_first_generation:
             await self._send_update(spec.Method.UPDATE_OBS, obs)
 
-    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
+    async def send_observations(self, obs_list: Sequence[Observation]) -> None:
         """Send the newest observations of several environments to the policy."""
         self._buffered = list(obs_list)
         if not self._exchange.is_first_generation:
             await self._send_update(spec.Method.UPDATE_OBS_BATCH, list(obs_list))
 
-    async def get_action(self, obs: Observation | None = None) -> Any:
+    async def request_action(self, obs: Observation | None = None) -> Any:
         """Return an action chunk, for `obs` if it is passed and for the last observation otherwise."""
         if obs is not None:
             return await self.infer(obs)
@@ -89,7 +89,7 @@ class FramedConversation(Conversation):
             return await self.infer(self._buffered[0])
         return await self._call(spec.Method.GET_ACTION)
 
-    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> Any:
+    async def request_actions(self, env_idx_list: Sequence[int] | None = None) -> Any:
         """Return one action chunk per environment of the list; None means the environments of the last batch."""
         if not self._exchange.is_first_generation:
             return await self._call(spec.Method.GET_ACTION_BATCH, None if env_idx_list is None else list(env_idx_list))

@@ -77,28 +77,28 @@ class RequestReply(Conversation):
                 await self._drop(env)
                 raise ClientError(f"the {self._setup.wire} server did not answer reset as its wire requires")
 
-    async def update_obs(self, obs: Observation) -> None:
+    async def send_observation(self, obs: Observation) -> None:
         """Store the newest observation of one environment; it is sent with the next inference."""
         index = obs.get(spec.Obs.ENV_IDX)
         self._store_observations([obs], [0 if index is None else env_index(index)])
 
-    async def update_obs_batch(self, obs_list: Sequence[Observation]) -> None:
+    async def send_observations(self, obs_list: Sequence[Observation]) -> None:
         """Store the newest observations of several environments."""
         self._store_observations(obs_list, env_indices(obs_list))
 
-    async def get_action(self, obs: Observation | None = None) -> Any:
+    async def request_action(self, obs: Observation | None = None) -> Any:
         """Return the action chunk for `obs` if it is passed, and otherwise for the environment observed last.
 
         Raises:
             PolicyStateError: before an observation, or after a batch of several.
         """
         if obs is not None:
-            await self.update_obs(obs)
+            await self.send_observation(obs)
         if self._order is None or len(self._order) != 1:
             raise PolicyStateError(f"get_action answers one environment that was observed, the last were {self._order}")
-        return (await self.get_action_batch(self._order))[0]
+        return (await self.request_actions(self._order))[0]
 
-    async def get_action_batch(self, env_idx_list: Sequence[int] | None = None) -> list[Any]:
+    async def request_actions(self, env_idx_list: Sequence[int] | None = None) -> list[Any]:
         """Return the action chunks of these environments, in this order; None means the last batch.
 
         Raises:
