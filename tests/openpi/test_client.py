@@ -249,5 +249,5 @@ def test_a_wire_that_is_not_spoken_is_refused(url: str) -> None:
         Client(url, config={"wire": "groot", "server": url})
     with pytest.raises(ConfigError, match=r"server says 'openpi' and wire says 'xpl'"):
         Client(f"openpi+{url}", config={"wire": "xpl", "server": f"openpi+{url}"})
-    with pytest.raises(ConfigError, match=r"`openpi` in deploy.yml has to say"):
+    with pytest.raises(ConfigError, match=r"set `openpi` in deploy.yml"):
         Client(url, config={**CONFIG, "server": url, "openpi": None})

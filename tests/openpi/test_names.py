@@ -97,7 +97,7 @@ def test_names_of_ones_own_take_the_place_of_a_styles() -> None:
 @pytest.mark.parametrize(
     ("openpi", "robot", "told"),
     [
-        (None, "franka_single", r"`openpi` in deploy.yml has to say .*styles are droid, libero, aloha"),
+        (None, "franka_single", r"set `openpi` in deploy.yml.*styles are droid, libero, aloha"),
         ("droid", "franka_single", "takes style, names, gripper, images; got 'droid'"),
         ({"syle": "droid"}, "franka_single", "takes style, names, gripper, images; got syle"),
         ({"style": "bridge"}, "franka_single", "must be one of droid, libero, aloha, got 'bridge'"),

@@ -437,14 +437,14 @@ def test_a_shared_model_answers_clients_together(worker: Process, write_adapter:
         ("update_obs_batch = get_action_batch = print", [], "has no reset_envs"),
         ("def reset_envs(self, envs): pass", [], "has no update_obs_batch, get_action_batch"),
         ("def prepare_case(self, case): pass", [], "prepare_case cannot distinguish clients"),
-        ("def on_trial_end(self, case): pass", [], "on_trial_end cannot tell"),
-        ("def about(self): pass", ["about"], "about cannot tell"),
+        ("def on_trial_end(self, case): pass", [], "on_trial_end cannot distinguish"),
+        ("def about(self): pass", ["about"], "about cannot distinguish"),
     ],
 )
 def test_a_model_that_cannot_tell_its_clients_apart_is_not_shared(
     worker: Process, write_adapter: Any, body: str, methods: list[str], says: str
 ) -> None:
-    base = "Policy" if "tell" in says else "object"
+    base = "Policy" if "distinguish" in says else "object"
     folder = write_adapter(f"from xpl import Policy\nclass Model({base}):\n    {body}\n")
     answer = worker.load(folder, serving={"shared": True}, methods=methods)
     assert answer["error"]["type"] == "LoadError"

@@ -94,8 +94,8 @@ class OpenpiNames:
         unknown = [name for name in came if name not in self.names]
         if unknown:
             raise ObservationError(
-                f"the observation has {', '.join(unknown)}, which {KEY}.names of deploy.yml does not map to an input; it "
-                f"holds {', '.join(came)}; mapped are {', '.join(self.names)}"
+                f"the observation has {', '.join(unknown)}, which {KEY}.names of deploy.yml does not map to an input; "
+                f"it holds {', '.join(came)}; mapped are {', '.join(self.names)}"
             )
         obs: ObservationDict = {}
         for name, value in came.items():

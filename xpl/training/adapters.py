@@ -56,7 +56,7 @@ def without_model(
         raise TrainingError(f"{folder}: {base.__name__} is no xpl.Policy; its conversions cannot be called")
     model_io = manifest.get("model_io")
     if model_io is None:
-        raise TrainingError(f"{folder}: policy.yml has no block model_io, which converts recorded actions to the model's")
+        raise TrainingError(f"{folder}: policy.yml has no block model_io, by which recorded actions are converted")
     if not normalized:
         for vector in (*model_io.get("state", ()), model_io["action"]):
             vector.pop("normalize", None)

@@ -32,7 +32,7 @@ def as_array(value: object) -> np.ndarray:
     Structured arrays lose their padding.
 
     Raises:
-        ArrayError: for any other type, and for arrays of objects or dates.
+        ArrayError: the value has another type, or is an array of objects or dates.
     """
     if not isinstance(value, (np.ndarray, np.generic)):
         detach = getattr(value, "detach", None)
@@ -153,7 +153,7 @@ def check_dtype(dtype: np.dtype[np.generic]) -> None:
     """Check that arrays of a dtype can be sent.
 
     Raises:
-        ArrayError: for objects and dates, also inside structures, for elements without a size, and for structures of
+        ArrayError: the dtype has objects or dates, also inside structures, elements without a size, or structures of
             very many fields.
     """
     parts, seen = [dtype], 0

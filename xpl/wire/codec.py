@@ -256,7 +256,7 @@ def _salvaged(data: Data) -> dict[str, Any]:
 
 
 def _outgoing(value: object, level: int) -> Any:
-    """Return a value in types that msgpack knows: text keys only, arrays as maps."""
+    """Return a value in types that msgpack encodes: text keys only, arrays as maps."""
     if value is None or isinstance(value, (str, bytes, int, float)):
         return value
     if level > spec.LIMITS["nesting"]:

@@ -92,10 +92,10 @@ def _recipe(folder: Path, file: str, function: str) -> Recipe:
 
 
 def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Mapping[str, float]) -> list[str]:
-    """Write a checkpoint into an empty folder, with fixed seeds, and return which gains the recipe asked for.
+    """Write a checkpoint into an empty folder, with fixed seeds, and return the names of the gains that it read.
 
     Raises:
-        LoadError: if it wrote nothing, or too much.
+        LoadError: the recipe wrote no file, or more than `most_bytes`.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -184,7 +184,7 @@ def test_a_raw_output_of_another_shape_is_declared(package: Path) -> None:
     ("old", "new", "told"),
     [
         ("return pack_state", "self.tokenizer(obs)\n        return pack_state", "no 'tokenizer'"),
-        ("return pack_state(obs, self.embodiment, self.action_type)", "return dict(obs)", "returns the observation unchanged"),
+        ("return pack_state(obs, self.embodiment, self.action_type)", "return dict(obs)", "returns the observation"),
         ("import numpy as np", f"import numpy as np\nimport {MISSING}", "import it in load"),
         ("class Model(Policy):", "class Model:\n    def __init__(self, config):\n        self.load(config)", "derives"),
     ],

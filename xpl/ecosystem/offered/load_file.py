@@ -10,7 +10,7 @@ from typing import Any
 
 def load_json(path: Any) -> Any:
     """Return the content of a JSON file."""
-    return json.loads(Path(path).read_text(encoding="utf-8"))  # noqa: TID251 - a file of the policy, read as upstream does
+    return json.loads(Path(path).read_text(encoding="utf-8"))  # noqa: TID251 - the policy's own file, as upstream
 
 
 def load_yaml(path: Any) -> Any:

@@ -84,7 +84,7 @@ class EnvGenerators:
         own = type(self._model).__module__
 
         def made(*arguments: Any, **more: Any) -> Any:
-            asks = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 - who calls
+            asks = sys._getframe(1).f_globals.get("__name__")  # noqa: SLF001 - the caller's module
             return self._source() if asks == own else real(*arguments, **more)
 
         return made
