@@ -18,7 +18,7 @@ class Model(Policy):
         return image, np.concatenate([joints, opening]).astype(np.float32), obs["instruction"]
 
     def predict(self, inputs, envs):
-        return np.stack([self.network(image, state, "Task: " + text.strip().lower()) for image, state, text in inputs])
+        return np.stack([self.network(image, state, "Task: " + text.strip(" ").lower()) for image, state, text in inputs])
 
     def decode(self, raw, obs, env):
         joints = obs["state"]["arm_joint_state"]
