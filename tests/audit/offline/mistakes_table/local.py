@@ -125,8 +125,8 @@ class Judged:
     def _checked(self, slug: str) -> RuleResult:
         facts = {"path": self.package, "demonstrations": self.fact, "options": self.probe.options}
 
-        def blocks(again: Any, tried: Any, questions: Any, seconds: float) -> Any:
+        def answers(again: Any, tried: Any, questions: Any, seconds: float) -> Any:
             return self.probe.blocks(again, tried, questions, seconds)
 
-        with mock.patch.object(LoadedAdapter, "blocks", blocks):
+        with mock.patch.object(LoadedAdapter, "answers_by_block", answers):
             return Checks(Facts(facts, {}))._run_check(find(slug))  # type: ignore[arg-type]
