@@ -206,7 +206,7 @@ def test_no_verdict_says_more_than_what_ran(kind: str, gates: list[GateSummary],
     if verdict.status is VerdictStatus.GREEN:
         assert {gate.name for gate in gates} >= set(GATES[kind])
         assert outcomes <= {Outcome.PASS, Outcome.NOT_APPLICABLE}
-        assert (around.narrowed, around.places, around.unknown) == ("", (), ())
+        assert (around.narrowed, around.placeholders, around.unknown) == ("", (), ())
         assert not any(gate.stood_in for gate in gates)
     if "parity" in words:
         assert around.without_pairs is None

@@ -82,8 +82,8 @@ class Local:
 
     def blocks(self, again: Any, tried: Any, questions: Any, seconds: float) -> Any:
         """Return the answers under each block, as the errand does; the model is as it was afterwards."""
-        replay, asked = again._course, PerturbedModel(self.model, again._block)
-        order = {"blocks": tried, "seconds": seconds, **replay.told(replay.calls(questions), set())}
+        replay, asked = again._replay, PerturbedModel(self.model, again._block)
+        order = {"blocks": tried, "seconds": seconds, **replay.worker_request(replay.calls_for(questions), set())}
         why, *answers = [packed.decode(one).get("result") for one in asked.answers(order)]
         if why is not None:
             return None

@@ -75,7 +75,7 @@ def _alike(first: Path) -> dict[str, dict[str, Row]]:
     for policy in trained():
         for subject in policy.subjects:
             for proof in ("contract", "parity", "success"):
-                if row := named(first / "rows" / f"{subject.key}-{proof}.json"):
+                if row := said(first / "rows" / f"{subject.key}-{proof}.json"):
                     ties.setdefault(subject.same, {})[proof] = row
     return ties
 
