@@ -36,7 +36,11 @@ def write(folder: Path, gain: Callable[[str], float]) -> None:
     with torch.no_grad():
         policy.model.encoder_robot_state_input_proj.weight *= gain("state")
         policy.model.encoder_img_feat_input_proj.weight *= gain("cam_head") * gain("cam_wrist")
-    image = {"mean": torch.full((3, 1, 1), 0.45), "std": torch.full((3, 1, 1), 0.225)}
+    mean, std = (
+        torch.tensor([0.485, 0.456, 0.406]),
+        torch.tensor([0.229, 0.224, 0.225]),
+    )  # ImageNet's, as policy.yml says
+    image = {"mean": mean.view(3, 1, 1), "std": std.view(3, 1, 1)}
     pose = torch.tensor([0.3, 0, 0.3, 1, 0, 0, 0, 1, 0, 0.5])  # position, two rows of the rotation, gripper
     statistics = {
         "observation.state": {"mean": pose, "std": torch.full((10,), 0.3)},

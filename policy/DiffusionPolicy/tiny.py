@@ -40,7 +40,11 @@ def write(folder: Path, gain: Callable[[str], float]) -> None:
                 weight[:, :, :10] *= gain("state")
                 weight[:, :, 10 : 10 + images] *= gain("cam_head") * gain("cam_wrist")
                 weight[:, 0] *= gain("history")
-    image = {"mean": torch.full((3, 1, 1), 0.45), "std": torch.full((3, 1, 1), 0.225)}
+    mean, std = (
+        torch.tensor([0.485, 0.456, 0.406]),
+        torch.tensor([0.229, 0.224, 0.225]),
+    )  # ImageNet's, as policy.yml says
+    image = {"mean": mean.view(3, 1, 1), "std": std.view(3, 1, 1)}
     pose = torch.tensor([0.3, 0, 0.3, 1, 0, 0, 0, 1, 0, 0.5])  # position, two rows of the rotation, gripper
     span = {"min": pose - 0.3, "max": pose + 0.3}
     tiny_lerobot.save(folder, policy, {"observation.state": span, "action": span, **dict.fromkeys(cameras, image)})
