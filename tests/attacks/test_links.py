@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.support.examples import examples
 from tests.support.peer import greeted
 from xpl.process import link
-from xpl.wire.frame import PREFIX_BYTES, PackingError
+from xpl.wire.process_frame import PREFIX_BYTES, PackingError
 from xpl_cli.serving.workers import worker_answers
 from xpl_cli.serving.workers.process import ANSWER_BYTES
 

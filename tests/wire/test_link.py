@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from tests.wire.messages import framed, looped, peak
 from xpl.process import link
 from xpl.process.link import Channel, Inbox
-from xpl.wire import frame
-from xpl.wire.frame import PackingError
+from xpl.wire import process_frame
+from xpl.wire.process_frame import PackingError
 
 
 def message(header: int, body: int) -> bytes:
@@ -71,7 +71,7 @@ def test_a_head_that_json_does_not_know_cannot_be_sent(head: Any) -> None:
 
 
 def test_a_head_over_the_limit_cannot_be_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame, "HEADER_LIMIT", 100)
+    monkeypatch.setattr(process_frame, "HEADER_LIMIT", 100)
     with pytest.raises(PackingError, match="over the limits"):
         link.encode("x" * 200)
 
@@ -143,7 +143,7 @@ def test_messages_stay_as_they_are_while_more_is_read() -> None:
     [
         b"\xff" * 16,
         b"XPL2" + bytes(12),
-        struct.pack("<4sIQ", b"XPL1", frame.HEADER_LIMIT + 1, 0),
+        struct.pack("<4sIQ", b"XPL1", process_frame.HEADER_LIMIT + 1, 0),
         struct.pack("<4sIQ", b"XPL1", 2**32 - 1, 2**64 - 1),
         message(16, 4) + b"Traceback (most recent call last)",
     ],
@@ -160,7 +160,7 @@ def test_a_stream_out_of_step_is_a_link_error(noise: bytes) -> None:
 
 def test_a_long_message_takes_memory_as_it_comes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(link, "_STEP", 1 << 17)
-    inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPL1", 16, frame.BODY_LIMIT)
+    inbox, announced = Inbox(), struct.pack("<4sIQ", b"XPL1", 16, process_frame.BODY_LIMIT)
     assert peak(lambda: list(fed(inbox, announced + bytes(200_000), [70_000]))) < 2_000_000
     whole = message(16, 3_000_000)
     assert list(fed(Inbox(), whole, [100_000])) == [whole]

@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from tests.support.examples import examples
 from tests.wire.messages import framed, looped, peak, same
 from xpl import _spec as spec
-from xpl.wire import codec, frame, packed
+from xpl.wire import codec, packed, process_frame
 from xpl.wire.packed import PackingError
 
 
@@ -246,7 +246,7 @@ def test_what_cannot_travel_is_a_packing_error(value: Any) -> None:
 
 
 def test_a_header_beyond_the_limit_is_not_sent(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(frame, "HEADER_LIMIT", 100)
+    monkeypatch.setattr(process_frame, "HEADER_LIMIT", 100)
     with pytest.raises(PackingError, match="use arrays"):
         packed.encode(list(range(100)))
 
@@ -260,8 +260,8 @@ def test_a_header_beyond_the_limit_is_not_sent(monkeypatch: pytest.MonkeyPatch) 
         (b"", "begins with 16 bytes"),
         (b"XPL1" + bytes(11), "begins with 16 bytes"),
         (b"XPL2" + bytes(12), "out of step"),
-        (struct.pack("<4sIQ", b"XPL1", frame.HEADER_LIMIT + 1, 0), "over the limits"),
-        (struct.pack("<4sIQ", b"XPL1", 0, frame.BODY_LIMIT + 1), "over the limits"),
+        (struct.pack("<4sIQ", b"XPL1", process_frame.HEADER_LIMIT + 1, 0), "over the limits"),
+        (struct.pack("<4sIQ", b"XPL1", 0, process_frame.BODY_LIMIT + 1), "over the limits"),
         (struct.pack("<4sIQ", b"XPL1", 2**32 - 1, 2**64 - 1), "over the limits"),
     ],
 )

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Callable, NoReturn
 
 from xpl.process import link
 from xpl.process.link import Channel, Head
-from xpl.wire.frame import PackingError
+from xpl.wire.process_frame import PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data

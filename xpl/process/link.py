@@ -1,7 +1,7 @@
 """Messages of the private stream between a parent and its worker: a JSON head and raw buffers.
 
-One message is a frame (`xpl.wire.frame`) whose header is `[head, [length of each buffer]]`. The buffers are packed
-values (`xpl.wire.packed`), which a server's front end forwards without reading them.
+One message is a frame (`xpl.wire.process_frame`) whose header is `[head, [length of each buffer]]`. The buffers are
+packed values (`xpl.wire.packed`), which a server's front end forwards without reading them.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import json
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
+from xpl.wire.process_frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
 
 if TYPE_CHECKING:
     import socket

@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from typing import IO, TYPE_CHECKING, Any
 
 from xpl.process import child, link, spawn
-from xpl.wire.frame import BODY_LIMIT, PackingError
+from xpl.wire.process_frame import BODY_LIMIT, PackingError
 
 if TYPE_CHECKING:
     from xpl.wire.arrays import Data

@@ -2,7 +2,7 @@
 
 Requests and answers of workers have this form, and payloads on the wire if both sides announced it: arrays are neither
 wrapped nor copied one by one, and the front end forwards them without reading them. One value is a frame
-(`xpl.wire.frame`).
+(`xpl.wire.process_frame`).
 
 In its header an array is `{"@array": [offset, dtype, shape]}`, a numpy scalar the same with shape null, a byte string
 `{"@bytes": [offset, length]}`. An array in shared memory is `{"@shared": [block, offset, dtype, shape]}`. A
@@ -23,7 +23,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.wire.arrays import Data, as_array, check_dtype, data_of, describe_dtype, from_data, parse_dtype
-from xpl.wire.frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
+from xpl.wire.process_frame import BODY_LIMIT, PREFIX_BYTES, PackingError, begun, gap, lengths
 
 __all__ = [
     "PREFIX_BYTES",

@@ -37,11 +37,11 @@ def read_stream(data: bytes) -> None:
     Our own processes take memory for what they announce to each other, up to limits that are lowered here.
     """
     from xpl.process import link
-    from xpl.wire import frame
+    from xpl.wire import process_frame
 
     inbox, size, position = link.Inbox(), 1 + (data[0] if data else 0), 1
-    lower = mock.patch.multiple(frame, HEADER_LIMIT=1 << 16, BODY_LIMIT=1 << 18)
-    with contextlib.suppress(frame.PackingError), lower:
+    lower = mock.patch.multiple(process_frame, HEADER_LIMIT=1 << 16, BODY_LIMIT=1 << 18)
+    with contextlib.suppress(process_frame.PackingError), lower:
         while position < len(data):
             space = inbox.space()
             piece = data[position : position + min(size, len(space))]

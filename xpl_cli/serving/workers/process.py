@@ -15,7 +15,7 @@ from xpl import _spec as spec
 from xpl.process import link, spawn
 from xpl.process.child import REAPER_START, SDK_START
 from xpl.process.link import Inbox
-from xpl.wire.frame import PackingError
+from xpl.wire.process_frame import PackingError
 from xpl_cli.basics import process_exit
 from xpl_cli.isolation import processes
 

@@ -9,7 +9,7 @@ import time
 from typing import TYPE_CHECKING, Protocol
 
 from xpl import _spec as spec
-from xpl.wire.frame import PackingError
+from xpl.wire.process_frame import PackingError
 from xpl_cli.isolation.stacks import STACKS_S
 from xpl_cli.serving.requests import RequestError
 from xpl_cli.serving.server_log import log
