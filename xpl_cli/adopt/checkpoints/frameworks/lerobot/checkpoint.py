@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl.nested import leaves
 from xpl_cli.adopt.checkpoints.frameworks.lerobot import statistics
 from xpl_cli.adopt.checkpoints.frameworks.lerobot.types import (
     CODE,
@@ -29,6 +30,7 @@ from xpl_cli.basics.errors import UserError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from xpl.nested import ValuePath
     from xpl_cli.adopt.checkpoints.frameworks.lerobot.dataset import LeRobotDataset
     from xpl_cli.adopt.checkpoints.frameworks.lerobot.statistics import Statistics
     from xpl_cli.adopt.checkpoints.reading import CheckpointFolder
@@ -76,13 +78,11 @@ def _is_policy(config: ConfigDocument) -> bool:
     return shapes or (features and isinstance(config.at("type"), str))
 
 
-def _hub_names(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+def _hub_names(document: ConfigDocument) -> Iterator[tuple[ValuePath, str]]:
     """Yield path and value of each repository of the hub that LeRobot loads, such as a VLM's or a tokenizer's."""
-    if isinstance(value, (dict, list)):
-        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _hub_names(item, (*path, key))
-    elif isinstance(value, str) and path[-1] not in _OWN_NAMES and _HUB_NAME.fullmatch(value):
-        yield path, value
+    for path, value in leaves(document.value):
+        if isinstance(value, str) and path[-1] not in _OWN_NAMES and _HUB_NAME.fullmatch(value):
+            yield path, value
 
 
 class _LeRobotReader:
@@ -106,7 +106,7 @@ class _LeRobotReader:
             self.notes.append("the checkpoint has neither processors nor statistics in its weights: set normalize")
 
         documents = (self.config, self.steps)
-        named = {name: one.location(*path) for one in documents for path, name in _hub_names(one.value)}
+        named = {name: one.location(*path) for one in documents for path, name in _hub_names(one)}
         for name, source in named.items():
             self.notes.append(
                 f"{source} names {name}: LeRobot loads it from the Hugging Face hub, or from the hub's cache; "
