@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from tests.support.adapters import parity
-from xpl_cli.basics.errors import UserError
+from tests.support.peer import xpl
+from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.model_io import tiny
 from xpl_cli.packages import package
 
@@ -79,6 +80,20 @@ def test_an_input_that_cannot_be_moved_is_named(tmp_path: Path) -> None:
     found = _package(tmp_path / "Bar", RECIPE.format(text=1e-6, name="language"))
     made = tiny.make(found, tmp_path / "tiny", tiny.TinyOptions())
     assert "no gain('instruction')" in made.unmoved["instruction"]
+
+
+def test_a_folder_of_the_user_is_left_alone_and_a_failure_keeps_the_checkpoint(tmp_path: Path) -> None:
+    """`--out` names a new folder; what is at the target is replaced only by a checkpoint that is whole."""
+    found = _package(tmp_path / "Foo", "def write(folder, gain):\n    (folder / 'a').write_text('')")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("years")
+    done = xpl("checkpoint", "tiny", str(found.path), "--out", "mine", cwd=tmp_path)
+    assert done.returncode == ExitCode.USAGE
+    assert "mine is there already" in done.stderr
+    with pytest.raises(UserError):
+        tiny.make(found, tmp_path / "mine", tiny.TinyOptions())
+    assert (tmp_path / "mine" / "thesis.tex").read_text() == "years"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["Foo", "mine"]
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ import inspect
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from xpl import _spec as spec
 from xpl import ecosystem
@@ -38,6 +40,30 @@ def load_model_class(policy_dir: Path, class_name: str = spec.MODEL_CLASS) -> ty
     if not inspect.isclass(model):
         raise LoadError(f"{path} defines no class {class_name}")
     return model
+
+
+def load_function(folder: Path, package: str, file: str, function: str, parameters: str) -> tuple[ModuleType, Any]:
+    """Import a file of a package under a module name of its own; return the module and a function of it.
+
+    Args:
+        folder: folder of the package.
+        package: name under which its modules are imported.
+        file: name of the file in it.
+        function: name of the function in the file.
+        parameters: of the function, for the error.
+
+    Raises:
+        LoadError: the file or its function is missing.
+    """
+    path = folder / file
+    register_package(package, folder)
+    if not path.is_file():
+        raise LoadError(f"{path} cannot be imported")
+    module = execute(f"{package}.{path.stem}", path)
+    made = getattr(module, function, None)
+    if not callable(made):
+        raise LoadError(f"{path} defines no function {function}({parameters})")
+    return module, made
 
 
 def check_shareable(model_class: type, ambiguous: Sequence[str]) -> None:

@@ -34,9 +34,8 @@ from xpl import ecosystem
 from xpl.action import ActionError, check_chunk
 from xpl.embodiment import Embodiment, get_embodiment
 from xpl.episodes import own_index
-from xpl.process.modules import execute, register_package
 from xpl.worker.copies import copy_value
-from xpl.worker.loading import LoadError
+from xpl.worker.loading import LoadError, load_function
 from xpl.worker.subprocess_task import FAILURES, TaskRequest, pack_error, pack_result, run_once
 
 if TYPE_CHECKING:
@@ -88,21 +87,13 @@ def load(folder: Path, file: str, function: str, config: Config) -> tuple[Module
         LoadError: the file or its function is missing, or the function returns nothing callable.
         ReferenceImportError: the file imports the SDK or the adapter.
     """
-    path = folder / file
     ecosystem.offer(folder)
     _block_imports(folder)
-    package = f"_xpl_reference_{folder.name}"
-    register_package(package, folder)
-    if not path.is_file():
-        raise LoadError(f"{path} cannot be imported")
-    module = execute(f"{package}.{path.stem}", path)
-    make = getattr(module, function, None)
-    if not callable(make):
-        raise LoadError(f"{path} defines no function {function}(config)")
+    module, make = load_function(folder, f"_xpl_reference_{folder.name}", file, function, "config")
     answer = make(dict(config))
     if not callable(answer):
         raise LoadError(
-            f"{function}(config) of {path} must return a function of an episode, got {type(answer).__name__}"
+            f"{function}(config) of {folder / file} must return a function of an episode, got {type(answer).__name__}"
         )
     return module, answer
 

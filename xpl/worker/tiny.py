@@ -26,10 +26,9 @@ import numpy as np
 from xpl import ecosystem
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
-from xpl.process.modules import execute, register_package
 from xpl.worker.copies import copy_value
 from xpl.worker.inprocess import load
-from xpl.worker.loading import LoadError
+from xpl.worker.loading import LoadError, load_function
 from xpl.worker.subprocess_task import FAILURES, pack_error, pack_result, run_once
 
 Gain = Callable[[str], float]
@@ -47,7 +46,11 @@ def main(asked: str, answers: str) -> NoReturn:
 
 def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
     try:
-        write = _recipe(Path(request["policy_dir"]), request["file"], request["function"])
+        folder = Path(request["policy_dir"])
+        ecosystem.offer(folder)
+        _, write = load_function(
+            folder, f"_xpl_tiny_{folder.name}", request["file"], request["function"], "folder, gain"
+        )
         gains: dict[str, float] = {}
         before: dict[str, float] = {}
         for _ in range(_ROUNDS):
@@ -70,25 +73,6 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
                 gains[name] = gains.get(name, 1.0) * _STEP
     except FAILURES as error:
         yield pack_error(error)
-
-
-def _recipe(folder: Path, file: str, function: str) -> Recipe:
-    """Import the recipe of a package.
-
-    Raises:
-        LoadError: if it does not define the function.
-    """
-    ecosystem.offer(folder)
-    package = f"_xpl_tiny_{folder.name}"
-    register_package(package, folder)
-    path = folder / file
-    if not path.is_file():
-        raise LoadError(f"{folder} has no {file}")
-    write: Any = getattr(execute(f"{package}.{path.stem}", path), function, None)
-    if not callable(write):
-        raise LoadError(f"{path} defines no function {function}(folder, gain)")
-    recipe: Recipe = write
-    return recipe
 
 
 def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Mapping[str, float]) -> list[str]:

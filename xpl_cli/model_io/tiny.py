@@ -17,6 +17,7 @@ import numpy as np
 
 from xpl import _spec as sdk
 from xpl.embodiment import get_embodiment
+from xpl_cli.basics import atomic
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation import subprocess_task
@@ -84,66 +85,63 @@ class TinyCheckpoint:
     unmoved: Mapping[str, str]
 
 
-def has_recipe(folder: Path) -> bool:
-    """Tell whether a package says how its tiny random checkpoint is made."""
-    return (folder / CODE).is_file()
-
-
 def make(package: Package, target: Path, options: TinyOptions) -> TinyCheckpoint:
-    """Write a tiny random checkpoint of a package's model into the folder `target`, and measure it.
+    """Write a tiny random checkpoint of a package's model, measure it, and replace the folder `target` by it.
 
     Raises:
         UserError: if there is no tiny.py, or it fails, or writes too much.
     """
-    if not has_recipe(package.path):
+    if not (package.path / CODE).is_file():
         raise UserError(
             f"{package.path} has no {CODE}: it defines {FUNCTION}(folder, gain), which writes the model's files with a "
             "shrunken configuration",
             hint="docs/tiny-checkpoints.md shows one of twenty lines",
             code=ExitCode.NOT_FOUND,
         )
-    overrides = {**options.overrides, sdk.Deploy.CKPT_NAME: str(target)}
-    config = package.config(overrides)
-    bases, inputs = _inputs(package, str(config[sdk.Deploy.ENV_CFG_TYPE]))
-    options.progress.step(f"{CODE}: {len(inputs)} inputs")
-    task = subprocess_task.run(
-        "xpl.worker.tiny",
-        {
+    with atomic.replaced_folder(target) as staging:
+        config = package.config({**options.overrides, sdk.Deploy.CKPT_NAME: str(staging)})
+        bases, inputs = _inputs(package, str(config[sdk.Deploy.ENV_CFG_TYPE]))
+        options.progress.step(f"{CODE}: {len(inputs)} inputs")
+        request = {
             "policy_dir": str(package.path),
             "config": config,
             "manifest": package.manifest.data,
             "file": CODE,
             "function": FUNCTION,
-            "folder": str(target),
+            "folder": str(staging),
             "seed": options.seed,
             "share": options.share,
             "most_bytes": MOST_BYTES,
             "bases": bases,
             "inputs": inputs,
-        },
-        subprocess_task.TaskSettings(
-            python=interpreter.resolve(
-                package.path, package.manifest.environment, python=options.python, env=options.env
-            ),
-            checkout=package.path,
-            patience=options.patience,
-            limit_s=LIMIT_S,
-            on_answer=lambda count: options.progress.detail(f"{CODE}: checkpoint {count}"),
-        ),
+        }
+        measured = _run(package, request, options)
+    effects = measured["effects"]
+    unmoved = dict(_unmoved(inputs, effects, set(measured["asked"]), options.share))
+    return TinyCheckpoint(target, int(measured["bytes"]), effects, measured["gains"], unmoved)
+
+
+def _run(package: Package, request: Mapping[str, object], options: TinyOptions) -> Mapping[str, Any]:
+    """Return what the task measured with the last checkpoint that it wrote.
+
+    Raises:
+        UserError: the task ended early, or tiny.py failed.
+    """
+    settings = subprocess_task.TaskSettings(
+        python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
+        checkout=package.path,
+        patience=options.patience,
+        limit_s=LIMIT_S,
+        on_answer=lambda count: options.progress.detail(f"{CODE}: checkpoint {count}"),
     )
+    task = subprocess_task.run("xpl.worker.tiny", request, settings)
     if not task.answers or task.problem is not None:
         raise UserError(f"{CODE} {task.failure}", code=ExitCode.NOT_RUN)
     last = task.answers[-1]
     if last.error is not None:
         raise UserError(f"{CODE}: {last.error}", hint=f"{CODE} defines {FUNCTION}(folder, gain)")
-    found = last.result
-    return TinyCheckpoint(
-        target,
-        int(found["bytes"]),
-        found["effects"],
-        found["gains"],
-        dict(_unmoved(inputs, found["effects"], set(found["asked"]), options.share)),
-    )
+    measured: Mapping[str, Any] = last.result
+    return measured
 
 
 def _unmoved(

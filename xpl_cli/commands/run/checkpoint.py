@@ -130,7 +130,10 @@ def tiny(
     policy: str = POLICY,
     settings: list[str] = SETTINGS,
     out: Path | None = typer.Option(
-        None, "--out", metavar="FOLDER", help="Where to write it; checkpoints/tiny of the package by default."
+        None,
+        "--out",
+        metavar="FOLDER",
+        help="New folder for it; by default checkpoints/tiny of the package is replaced.",
     ),
     share: float = typer.Option(
         0.02, "--share", min=0, max=1, help="Share of the answers' span that every input has to move them by."
@@ -143,13 +146,15 @@ def tiny(
 ) -> None:
     """Write a tiny random checkpoint by the package's tiny.py, and measure that every input moves the answer."""
     from xpl_cli.basics import console
-    from xpl_cli.basics.errors import ExitCode
+    from xpl_cli.basics.errors import ExitCode, UserError
     from xpl_cli.basics.progress import progress
     from xpl_cli.model_io import tiny as checkpoints
     from xpl_cli.packages import package
 
     overrides = package.parse_overrides(settings)
     adapter = package.load(policy, overrides)
+    if out is not None and out.exists():
+        raise UserError(f"{out} is there already", hint="remove it, or choose another --out")
     target = adapter.path / "checkpoints" / checkpoints.NAME if out is None else out.absolute()
     with progress() as say:
         options = checkpoints.TinyOptions(overrides, share, seed, python, policy_env, patience, say)
