@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import json
 import os
 import re
@@ -400,6 +401,7 @@ def test_interpreters_are_found_by_version(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "python3.10").write_text("#!/bin/sh\nexit 127\n")  # the shim of a version that nobody installed
     (tmp_path / "python3.10").chmod(0o755)
     monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("PYENV_ROOT", str(tmp_path / "pyenv"))
     own = ".".join(map(str, sys.version_info[:3]))
     assert pythons.find(None) == sys.executable
     for wanted in (own, own.rpartition(".")[0], f">={own},<4", "3"):
@@ -412,6 +414,36 @@ def test_interpreters_are_found_by_version(tmp_path: Path, monkeypatch: pytest.M
         assert caught.value.code == ExitCode.NOT_RUN
     with pytest.raises(UserError, match="expected a version"):
         pythons.find("three")
+
+
+def test_interpreters_of_pyenv_are_found_without_its_shims(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A version that there is not goes to uv as it is, because uv can bring it."""
+    own = ".".join(map(str, sys.version_info[:3]))
+    there = tmp_path / "versions" / own / "bin" / "python3"
+    there.parent.mkdir(parents=True)
+    there.symlink_to(os.path.realpath(sys.executable))
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("PYENV_ROOT", str(tmp_path))
+    assert pythons.find(own) == pythons.for_uv(own) == str(there)
+    assert pythons.for_uv("3.99") == "3.99"
+
+
+def test_files_that_replace_others_have_current_bytecode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise each process that may not write compiles them again."""
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin" / "python").symlink_to(sys.executable)
+    module = tmp_path / "src" / "library.py"
+    module.parent.mkdir()
+    module.write_text("ANSWER = 1\n")
+    os.utime(module, (0, 0))
+    installers.compile_bytecode(tmp_path)
+    module.write_text("ANSWER = 22\n")
+    (tmp_path / "src" / "template.py").write_text("{{ name }} = \n")
+    installers.compile_bytecode(tmp_path)
+    compiled = Path(importlib.util.cache_from_source(str(module))).read_bytes()
+    assert int.from_bytes(compiled[12:16], "little") == module.stat().st_size
 
 
 def test_an_interpreter_may_be_named_as_in_a_shell(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

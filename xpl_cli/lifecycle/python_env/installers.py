@@ -60,6 +60,8 @@ def build(plan: EnvironmentPlan, folder: Path) -> dict[str, Any]:
     else:
         installer = _pip(plan, folder)
     added = sources.add(plan, folder, lambda root: _install_folder(plan, folder, root))
+    if added:
+        compile_bytecode(folder)
     return {"installer": installer, "sources": added, **_inspect(plan, folder / "bin" / "python")}
 
 
@@ -76,8 +78,15 @@ def environment() -> dict[str, str]:
     return {**inherited, **chosen}
 
 
+def compile_bytecode(folder: Path) -> None:
+    """Compile files without current bytecode: sources on an environment's path, and files that an overlay replaced."""
+    # Files that this Python cannot compile, such as templates, are no failure.
+    command = [str(folder / "bin" / "python"), "-I", "-m", "compileall", "-q", str(folder)]
+    subprocess.run(command, env=environment(), capture_output=True, check=False, stdin=subprocess.DEVNULL)
+
+
 def _uv(uv: str, plan: EnvironmentPlan, folder: Path) -> str:
-    python = plan.python or sys.executable
+    python = pythons.for_uv(plan.python)
     if plan.kind == "uv":
         # The adapter's own folder is no distribution: it runs in place.
         command = [uv, "sync", "--quiet", "--frozen", "--no-dev", "--no-install-project", "--python", python]

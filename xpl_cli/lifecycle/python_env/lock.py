@@ -9,7 +9,6 @@ from __future__ import annotations
 import platform
 import shutil
 import subprocess
-import sys
 import tempfile
 import tomllib
 from dataclasses import dataclass
@@ -60,9 +59,9 @@ def write(folder: Path, declared: PythonEnvironment) -> LockedEnvironment:
     if path.suffix not in (".txt", ".lock") or path.name == "uv.lock":
         raise UserError(f"`xpl lock` writes pip's format (*.lock or *.txt), and the manifest names {path.name}")
     uv = shutil.which("uv")
-    if uv:  # which knows more interpreters than PATH
+    if uv:
         version = declared.python or platform.python_version()
-        resolved = _by_uv(uv, requirements, declared.python or sys.executable, folder)
+        resolved = _by_uv(uv, requirements, pythons.for_uv(declared.python), folder)
     else:
         python = pythons.find(declared.python)
         version = pythons.version_of(python) or platform.python_version()

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -29,7 +30,7 @@ def find(requested: str | None) -> str:
         requested: a version such as `3.10`, or a range such as `>=3.10,<3.12`; None for the tool's own interpreter.
 
     Raises:
-        UserError: if PATH has none.
+        UserError: if PATH and pyenv have none.
     """
     if requested is None:
         return sys.executable
@@ -47,6 +48,14 @@ def find(requested: str | None) -> str:
         hint="install it (on Debian with python3-venv), or install uv, which brings interpreters of any version",
         code=ExitCode.NOT_RUN,
     )
+
+
+def for_uv(requested: str | None) -> str:
+    """Return an interpreter for uv: the one that `find` returns, or the request itself, because uv can bring others."""
+    try:
+        return find(requested)
+    except UserError:
+        return str(requested)
 
 
 def specifier(requested: str) -> SpecifierSet:
@@ -93,3 +102,6 @@ def _candidates(requested: str) -> Iterator[str]:
         if path and (real := os.path.realpath(path)) not in yielded:
             yielded.add(real)
             yield path
+    # A shim of pyenv that is on PATH runs a version only where somebody selected it.
+    pyenv = Path(os.environ.get("PYENV_ROOT") or Path.home() / ".pyenv")
+    yield from map(str, sorted(pyenv.glob(f"versions/{minor[0] if minor else ''}*/bin/python3")))
