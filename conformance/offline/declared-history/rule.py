@@ -68,7 +68,11 @@ def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
                 "declared_history": history,
                 "first_actions": [first_step(answer) if is_answer_list(answer) else None for answer in last],
             },
-            fix=Fix("advice", "forget older observations, or declare the history or memory in policy.yml"),
+            fix=Fix(
+                "advice",
+                "forget older observations, or declare the history or memory in policy.yml: an action that counts from "
+                "the command before (delta_command) depends on all before it, which is memory",
+            ),
         )
 
 
