@@ -4,6 +4,8 @@ Standard library and numpy only. Messages have a head, in JSON, and buffers (`xp
 
     {"op": "load", "policy_dir", "config", "manifest"}  -> {"ok": {"class", "methods", "shared"}}; with
                                                         "shadow": true the model is not loaded (`xpl.worker.shadow`)
+    {"op": "imports"}                                   -> {"ok": {"modules": [[name, file], ...], "variables"}}: what
+                                                        loading imported, the environment variables that were set for it
     {"op": "map", "segment", "path", "size"}            -> {"ok": null}; requests may keep arrays there from now on
     {"op": "unmap", "segment"}                          -> {"ok": null}
     {"op": "run", "requests": [[client, method, segment, optional], ...]}, a packed map (`xpl.wire.packed`) for each
@@ -18,6 +20,7 @@ if the machine lacks a requirement and the adapter is not at fault (`xpl.worker.
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
@@ -25,7 +28,7 @@ from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 from xpl import _spec as spec
 from xpl import hub, variables
 from xpl.manifest import Manifest
-from xpl.process import child
+from xpl.process import child, fork_server
 from xpl.wire import error_text, packed
 from xpl.worker.loading import check_shareable, load_model_class
 
@@ -75,6 +78,7 @@ class AdapterWorker:
         self._windows: dict[int, Window] = {}
         self._policy_dir = Path()
         self._config: dict[str, Any] = {}
+        self._variables: dict[str, str] = {}
 
     def handle(self, head: Head, buffers: Sequence[Data] = ()) -> tuple[Head, list[Data]]:
         """Return the answer to one message of the front end; an exception of the adapter becomes an `error`."""
@@ -83,6 +87,7 @@ class AdapterWorker:
             return self._run(requests)
         operations: dict[str, Callable[[Head], Head | None]] = {
             "load": self._load,
+            "imports": self._imports,
             "map": self._map,
             "unmap": self._unmap,
         }
@@ -102,8 +107,10 @@ class AdapterWorker:
         gc.collect()
         policy_dir = self._policy_dir = Path(message["policy_dir"])
         manifest = Manifest.parse(message.get("manifest"))
+        before = dict(os.environ)
         variables.set_declared(policy_dir, message["config"], manifest.data.get("environment"))
         hub.offer(policy_dir, message["config"])
+        self._variables = {name: value for name, value in os.environ.items() if before.get(name) != value}
         if message.get("shadow"):
             from xpl.worker.shadow import load_shadow_class
 
@@ -136,6 +143,9 @@ class AdapterWorker:
 
             self._shared = SharedModel(self._model)
         return {"class": model_class.__name__, "methods": sorted(self._methods), "shared": shared}
+
+    def _imports(self, _message: Head) -> Head:
+        return {"modules": fork_server.imports(), "variables": self._variables}
 
     def _map(self, message: Head) -> None:
         from xpl.wire.segment import Window

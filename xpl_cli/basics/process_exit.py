@@ -9,11 +9,27 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+from typing import Protocol
 
 _SOON_S = 0.005
 
 
-async def exit_code(process: asyncio.subprocess.Process) -> int:
+class EndingProcess(Protocol):
+    """What `asyncio.subprocess.Process` has that matters here."""
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+
+    @property
+    def returncode(self) -> int | None:
+        """Its exit code, None while it runs."""
+
+    async def wait(self) -> int:
+        """Wait until it has ended."""
+
+
+async def exit_code(process: EndingProcess) -> int:
     """Wait for a process to end, and return its exit code, or the negative number of the signal that ended it."""
     if process.returncode is None and hasattr(os, "pidfd_open"):
         with contextlib.suppress(ProcessLookupError):  # it has ended, and asyncio is about to notice

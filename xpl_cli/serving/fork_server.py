@@ -4,9 +4,10 @@ Imports take half of the start of a policy server, and an audit starts dozens of
 without threads that gets requests over a private socket, each with the descriptors of the new server's standard
 streams. It starts with the first request and ends with the process that started it.
 
-    -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...]}
+    -> {"arguments": [...], "cwd": "/...", "environment": {...}, "limits": [...], "given": null}
     <- {"wants": 4}
-    -> one byte, with four descriptors: streams, and one to hold open
+    -> one byte, with four descriptors: streams, and one to hold open; a fifth where `given` names the variable in which
+       the process finds its number
     <- {"pid": 123}
     -> {"status": 123}      once the process has let go of the fourth descriptor
     <- {"code": 0}
@@ -128,8 +129,12 @@ class ForkServer:
                 start_new_session=True,
             )
 
-    def start(self, arguments: Sequence[str]) -> ForkedServer:
+    def start(self, arguments: Sequence[str], given: tuple[str, int] | None = None) -> ForkedServer:
         """Start `xpl` with arguments, in this process's working directory, environment and limits as they are now.
+
+        Args:
+            arguments: of the command line.
+            given: a descriptor for the process, after the environment variable in which it finds its number.
 
         Raises:
             OSError, EOFError: if the fork server is gone.
@@ -139,13 +144,15 @@ class ForkServer:
             "cwd": str(Path.cwd()),
             "environment": dict(os.environ),
             "limits": [(number, resource.getrlimit(number)) for number in _LIMITS],
+            "given": None if given is None else given[0],
         }
         pipes = [os.pipe() for _ in range(_STREAMS + 1)]
         (stdin, to_stdin), *outputs = pipes
         theirs = [stdin, *(write for _, write in outputs)]
         ours = [to_stdin, *(read for read, _ in outputs)]
         try:
-            pid = int(self._exchange(request, theirs)["pid"])
+            further = [] if given is None else [given[1]]
+            pid = int(self._exchange(request, [*theirs, *further])["pid"])
         except BaseException:
             for descriptor in ours:
                 os.close(descriptor)
@@ -194,8 +201,8 @@ def warm() -> None:
         _fork_server(os.getpid())
 
 
-def start(arguments: Sequence[str]) -> ForkedServer:
-    """Start `xpl` with arguments in a process of its own.
+def start(arguments: Sequence[str], given: tuple[str, int] | None = None) -> ForkedServer:
+    """Start `xpl` with arguments in a process of its own; see `ForkServer.start`.
 
     Raises:
         OSError: if no process can be started.
@@ -203,12 +210,12 @@ def start(arguments: Sequence[str]) -> ForkedServer:
     with _LOCK:
         fork_server = _fork_server(os.getpid())
     try:
-        return fork_server.start(arguments)
+        return fork_server.start(arguments, given)
     except (OSError, EOFError):  # the fork server was killed: start another one, once
         with _LOCK:
             _fork_server.cache_clear()
             fork_server = _fork_server(os.getpid())
-        return fork_server.start(arguments)
+        return fork_server.start(arguments, given)
 
 
 def main(descriptor: int) -> None:
@@ -230,8 +237,9 @@ def main(descriptor: int) -> None:
                 _, status = os.waitpid(request["status"], 0)
                 answer = {"code": os.waitstatus_to_exitcode(status)}
             else:
-                tool.send({"wants": _STREAMS + 1})
-                _, descriptors, _, _ = socket.recv_fds(channel, 1, _STREAMS + 1)
+                wants = _STREAMS + 1 + (request["given"] is not None)
+                tool.send({"wants": wants})
+                _, descriptors, _, _ = socket.recv_fds(channel, 1, wants)
                 pid = os.fork()
                 if pid == 0:
                     _run_child(channel, request, descriptors)
@@ -251,6 +259,8 @@ def _run_child(channel: socket.socket, request: Head, descriptors: Sequence[int]
     os.set_inheritable(descriptors[_STREAMS], False)  # noqa: FBT003 - positional only
     os.environ.clear()
     os.environ.update(request["environment"])
+    if request["given"] is not None:
+        os.environ[request["given"]] = str(descriptors[-1])
     os.chdir(request["cwd"])
     for number, limits in request["limits"]:
         with contextlib.suppress(OSError, ValueError):  # a hard limit above the current one

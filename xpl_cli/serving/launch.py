@@ -19,12 +19,14 @@ from xpl import json_text
 from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import fork_server
+from xpl_cli.serving.workers import forked
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from xpl.contract import Config
     from xpl_cli.serving.fork_server import ForkedServer
+    from xpl_cli.serving.workers.forked import WorkerForkServer
 
 STOP_S = 10.0
 LOG_LINES = 400
@@ -114,6 +116,7 @@ def running_server(  # noqa: PLR0913 - options of `xpl serve`
     echo: bool = False,
     token: str | None = None,
     on_start: Callable[[ForkedServer], object] | None = None,
+    forks: WorkerForkServer | None = None,
 ) -> Iterator[RunningServer]:
     """Serve an adapter on a free loopback port for the length of a `with` block.
 
@@ -128,6 +131,7 @@ def running_server(  # noqa: PLR0913 - options of `xpl serve`
         echo: also show the server's output on stderr.
         token: bearer token that it requires; None for no token.
         on_start: called with its process, before the model is loaded.
+        forks: the fork server of its worker.
 
     Raises:
         ServerStartError: if it does not become ready.
@@ -142,7 +146,8 @@ def running_server(  # noqa: PLR0913 - options of `xpl serve`
     command += options
     with contextlib.ExitStack() as starting:
         command += starting.enter_context(_token_options(token))
-        process = fork_server.start(command)
+        connection = None if forks is None else starting.enter_context(forks.connect())
+        process = fork_server.start(command, None if connection is None else (forked.VARIABLE, connection.fileno()))
         if on_start is not None:
             on_start(process)
         server = RunningServer(url="", pid=process.pid, process=process, token=token)

@@ -33,6 +33,7 @@ from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server_log import log
 from xpl_cli.serving.wires import extra_endpoints
 from xpl_cli.serving.workers import hang_watch
+from xpl_cli.serving.workers.forked import ForkServerConnection
 from xpl_cli.serving.workers.process import WorkerProcess
 from xpl_cli.serving.workers.worker import ModelLoadError
 
@@ -123,7 +124,8 @@ def run_server(package: Package, overrides: Config, options: ServeOptions) -> No
         raise
     with _open_trace(options.trace) as trace, options.bounds.isolate_adapter(package.path) as isolation:
         observer = RequestMonitor(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        run = _ServerRun(package, config, settings, options, python, observer, isolation, endpoints)
+        forks = ForkServerConnection.inherited()
+        run = _ServerRun(package, config, settings, options, python, observer, isolation, endpoints, forks)
         reason = asyncio.run(_serve(run))
     if reason is not None:
         raise UserError(f"{package.name}: {reason}", code=ExitCode.NOT_RUN)
@@ -222,6 +224,7 @@ class _ServerRun:
     monitor: RequestMonitor | None
     isolation: Isolation | None
     endpoints: Mapping[str, Endpoint]
+    forks: ForkServerConnection | None
 
 
 async def _serve(run: _ServerRun) -> str | None:
@@ -268,6 +271,7 @@ async def _start(run: _ServerRun, number: int) -> WorkerProcess:
         gpu=options.gpu[number % len(options.gpu)] if options.gpu else None,
         label=f"[{number}] " if options.workers > 1 else "",
         isolation=run.isolation,
+        forks=run.forks,
     )
     if options.memory_limit is not None:
         process.add_watch(options.memory_limit.enforce(process))
@@ -294,6 +298,8 @@ async def _until_ended(
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000, 10, 10)
+    if run.forks is not None:
+        await _preload(run.forks, front_end)
     front_end.ready()
     urls = {name: _url(listening[0], run.settings) for name, listening in servers.items()}
     url = urls.pop(_MAIN)
@@ -318,6 +324,15 @@ async def _until_ended(
     )
     await _close_connections(front_end, ending, _GOING_AWAY, "the policy server was stopped")
     return None
+
+
+async def _preload(forks: ForkServerConnection, front_end: FrontEnd) -> None:
+    """Have the fork server import what a worker that was not forked has imported."""
+    (worker,) = front_end.workers.values()
+    if not worker.process.is_forked:
+        imported = await worker.imports()
+        if imported is not None:
+            forks.preload(imported)
 
 
 def _close(servers: list[asyncio.Server]) -> None:

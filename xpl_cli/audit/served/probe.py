@@ -193,7 +193,7 @@ class Probe(Servers):
     @cached_property
     def repeats_afresh(self) -> bool:
         """Whether two servers give the same answers."""
-        with self.fresh_session() as first, self.fresh_session() as second:
+        with self.fresh_session() as first, self.unforked_session() as second:
             return same(self.episode(first), self.episode(second))
 
     def _first_episode(self) -> list[Answer]:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
-from xpl import Client
+from xpl import Client, checkpoint
 from xpl import _spec as sdk
 from xpl.client import ClientError, PolicyServerError
 from xpl_cli.audit.rules.model import NotApplicable, NotRun
@@ -16,10 +16,13 @@ from xpl_cli.audit.served import serving_choice
 from xpl_cli.audit.served.hanging import HangCounter, bounded_timeouts
 from xpl_cli.audit.served.recorded_client import AnswerRecorder, RecordedClient
 from xpl_cli.audit.served.servers_ahead import ServersAhead
+from xpl_cli.basics.errors import UserError
 from xpl_cli.isolation.hang_detector import HUNG
 from xpl_cli.isolation.stacks import innermost_frame
+from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages import package
 from xpl_cli.serving.launch import MissingRequirement, RunningServer, ServerStartError, running_server
+from xpl_cli.serving.workers.forked import WorkerForkServer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -58,6 +61,7 @@ class Servers(ABC):
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
         self._ahead: ServersAhead | None = None
+        self._fork_servers: dict[str | None, WorkerForkServer | None] = {}
         self._hangs = HangCounter()
         self.presence = PackageFiles.of(target.path)
 
@@ -141,6 +145,22 @@ class Servers(ABC):
         """
         with self.own_server(overrides) as server, self.connected(server.url) as session:
             yield session
+
+    @contextlib.contextmanager
+    def unforked_session(self) -> Iterator[RecordedClient]:
+        """Connect to a server of its own whose worker imports everything itself, in the order of its own hash seed.
+
+        Raises:
+            NotRun: if it does not start.
+        """
+        try:
+            with (
+                self._running(self.options.overrides, is_forked=False) as server,
+                self.connected(server.url) as session,
+            ):
+                yield session
+        except ServerStartError as error:
+            raise NotRun(f"the server did not start again: {error}") from None
 
     @contextlib.contextmanager
     def fresh_sessions(self, count: int) -> Iterator[list[RecordedClient]]:
@@ -240,8 +260,10 @@ class Servers(ABC):
         overrides: Mapping[str, object],
         flags: Sequence[str] = (),
         on_start: Callable[[ForkedServer], object] | None = None,
+        *,
+        is_forked: bool = True,
     ) -> AbstractContextManager[RunningServer]:
-        """Return a server that starts with a `with` block."""
+        """Return a server that starts with a `with` block; its worker may be forked from one with all libraries."""
         return running_server(
             self.package.path,
             {**overrides, **bounded_timeouts({**self.config, **overrides})},
@@ -250,7 +272,25 @@ class Servers(ABC):
             options=(*(["--shadow"] if self.choice.is_shadow else []), *flags, *self.options.confinement),
             load_timeout=min(LOAD_S, self.options.time_limit.remaining),
             on_start=on_start,
+            forks=self._forks(overrides) if is_forked else None,
         )
+
+    def _forks(self, overrides: Mapping[str, object]) -> WorkerForkServer | None:
+        """Return the fork server of workers with these keys of deploy.yml, None where they cannot be forked."""
+        config = self.package.config(overrides)
+        folders = (checkpoint.folders(values, self.package.path) for values in (config, self.config))
+        if not WorkerForkServer.is_possible() or len({tuple(paths) for paths in folders}) > 1:
+            return None  # environment variables that libraries read depend on the checkpoint
+        env = self.options.env or self.choice.env
+        if env not in self._fork_servers:
+            self._fork_servers[env] = None
+            with contextlib.suppress(UserError, OSError):  # the server will report it
+                environment = self.package.manifest.environment
+                python = interpreter.resolve(self.package.path, environment, python=self.options.python, env=env)
+                started = WorkerForkServer(python, self.package.path, self.options.bounds)
+                self._open.callback(started.close)
+                self._fork_servers[env] = started
+        return self._fork_servers[env]
 
     def _usual_server(self) -> AbstractContextManager[RunningServer]:
         """Return a server with the audit's own configuration, which may have been started ahead."""

@@ -18,6 +18,7 @@ from xpl.process.link import Inbox
 from xpl.wire.process_frame import PackingError
 from xpl_cli.basics import process_exit
 from xpl_cli.isolation import processes
+from xpl_cli.serving.workers.forked import ForkedProcess
 
 if TYPE_CHECKING:
     import socket
@@ -26,10 +27,12 @@ if TYPE_CHECKING:
 
     from xpl.wire.arrays import Data
     from xpl_cli.isolation.sandbox import Isolation
+    from xpl_cli.serving.workers.forked import ForkServerConnection
 
     Answered = Callable[[link.Head, list[memoryview]], None]
 
-_BOOTSTRAP = SDK_START + "from xpl.worker.main import main; main(int(sys.argv[2]))"
+_MODULE = "xpl.worker.main"
+_BOOTSTRAP = SDK_START + f"from {_MODULE} import main; main(int(sys.argv[2]))"
 ANSWER_BYTES = spec.LIMITS["frame_bytes"]
 """Largest results of one batch: the adapter can write to the link itself, and announce any size."""
 _MAX_LINE = 500
@@ -50,7 +53,12 @@ class WorkerProcess:
     """
 
     def __init__(
-        self, process: asyncio.subprocess.Process, channel: socket.socket, label: str, *, wrapped: bool = False
+        self,
+        process: asyncio.subprocess.Process | ForkedProcess,
+        channel: socket.socket,
+        label: str,
+        *,
+        wrapped: bool = False,
     ) -> None:
         self._process = process
         self._wrapped = wrapped
@@ -71,8 +79,15 @@ class WorkerProcess:
         self.died: asyncio.Future[str] = self._loop.create_future()
 
     @classmethod
-    async def start(
-        cls, python: str, *, cwd: Path, gpu: str | None = None, label: str = "", isolation: Isolation | None = None
+    async def start(  # noqa: PLR0913 - options of `xpl serve`
+        cls,
+        python: str,
+        *,
+        cwd: Path,
+        gpu: str | None = None,
+        label: str = "",
+        isolation: Isolation | None = None,
+        forks: ForkServerConnection | None = None,
     ) -> WorkerProcess:
         """Start a worker in the interpreter `python`; it loads nothing yet.
 
@@ -82,12 +97,17 @@ class WorkerProcess:
             gpu: device made visible to it.
             label: prefix of every line that it prints.
             isolation: how it is isolated, or None.
+            forks: where it is forked from a process that is isolated so, if that can be forked.
         """
         ours, theirs = spawn.link()
         ours.settimeout(0.0)
-        environment = spawn.variables()
-        if gpu is not None:
-            environment["CUDA_VISIBLE_DEVICES"] = gpu
+        visible = {} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu}
+        if forks is not None:
+            forked = await forks.start(_MODULE, [theirs.fileno()], visible)
+            if forked is not None:
+                theirs.close()
+                return cls(forked, ours, label)
+        environment = spawn.variables() | visible
         if isolation is not None:
             environment = isolation.environment(environment)
         start, prefix = (REAPER_START + _BOOTSTRAP, ()) if isolation is None else (_BOOTSTRAP, isolation.prefix)
@@ -103,6 +123,11 @@ class WorkerProcess:
                 start_new_session=True,  # a group of its own, so that its children end with it
             )
         return cls(process, ours, label, wrapped=isolation is not None)
+
+    @property
+    def is_forked(self) -> bool:
+        """Whether it was forked from a process that had imported its libraries."""
+        return isinstance(self._process, ForkedProcess)
 
     def send(self, head: link.Head, buffers: Sequence[Data], on_answer: Answered) -> None:
         """Send a message; the answer arrives later, or never if the worker dies.

@@ -120,6 +120,14 @@ class ModelWorker:
         self._busy = False
         self.queue = JobQueue(shared=manifest.serving.shared, max_batch=manifest.serving.max_batch)
 
+    async def imports(self) -> Head | None:
+        """Return what loading has imported, before anything is requested; None if the worker does not say."""
+        try:
+            imported = parse_result(await self.process.request(op="imports"))
+        except (WorkerDiedError, PackingError, WorkerAnswerError):
+            return None
+        return None if isinstance(imported, AdapterException) else imported
+
     def rebuild_model(self) -> None:
         """Load the model again before the next request."""
         self.send_control(self._loading, self._finish_rebuild)
