@@ -5,7 +5,8 @@ says. The files differ by who planted: `known.yml` by somebody who knew how the 
 somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
 when that was done; `planted.yml`, four of whose thirty are two mistakes at once, by yet another one when the search was
 written anew, which was then bettered by what it had missed; `later.yml`, likewise thirty, by the next one after that.
-The rates are told apart: only those at first sight of the last three are out of sample.
+The rates are told apart: only those at first sight of the last three are out of sample. Those of `packages.yml` are in the
+packages of `policy/` with their authors' own code (`packages.py`), by somebody who had not read the search.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING
 import yaml
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 HERE = Path(__file__).parent
 SUBJECTS = HERE / "subjects"
@@ -103,18 +104,19 @@ class Mutant:
         return package
 
 
-def read(source: str) -> tuple[Mutant, ...]:
-    """Return the mutants of a file of mistakes."""
+def read(source: str, kind: Callable[[str], Adapter] = Adapter) -> tuple[Mutant, ...]:
+    """Return the mutants of a file of mistakes, whose adapters are of a kind."""
     mutants_read = []
     for adapter, mistakes in yaml.safe_load((HERE / f"{source}.yml").read_text()).items():
         for name, mistake in mistakes.items():
             edits = tuple((edit.get("file", _MODEL), edit["replace"], edit["by"]) for edit in mistake["edits"])
             entry = mistake["convention"]
             conventions = tuple(entry) if isinstance(entry, list) else (entry,)
-            mutants_read.append(Mutant(Adapter(adapter), name, conventions, edits, source, bool(mistake.get("two"))))
+            mutants_read.append(Mutant(kind(adapter), name, conventions, edits, source, bool(mistake.get("two"))))
     return tuple(mutants_read)
 
 
 CORRECT = tuple(Adapter(path.name) for path in sorted(SUBJECTS.iterdir()) if path.is_dir())
 REWRITTEN = tuple(Adapter(path.name) for path in sorted(VARIANTS.iterdir()) if path.is_dir())
-SOURCES = tuple(sorted(path.stem for path in HERE.glob("*.yml")))
+PACKAGES = "packages"
+SOURCES = tuple(sorted(path.stem for path in HERE.glob("*.yml") if path.stem != PACKAGES))

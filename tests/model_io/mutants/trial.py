@@ -12,8 +12,9 @@ import shutil
 import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from tests.model_io.mutants.mutants import SOURCES, Adapter, Mutant, read
 from xpl_cli.audit.engine import providers
@@ -47,6 +48,16 @@ class Trial:
     words: str | None = None
     conventions: tuple[str, ...] = ()
 
+    @classmethod
+    def of(cls, result: RuleResult) -> Self:
+        """Return what became of a mutant by the rule's result."""
+        if not result.findings:
+            return cls(str(result.outcome), result.reason or "")
+        causes = [dict(one.evidence or {}).get("cause") for one in result.findings]
+        cause = next((one for one in causes if one), None) or {}
+        named = tuple(cause.get("conventions", ()))
+        return cls(str(result.outcome), result.findings[0].message, cause.get("convention"), cause.get("words"), named)
+
     @property
     def is_caught(self) -> bool:
         """Whether the rule failed."""
@@ -74,10 +85,11 @@ class Recorded:
         shutil.copyfile(kept, package / names.PAIRS)
 
 
-def judged(package: Path, slug: str = PARITY) -> RuleResult:
+def judged(package: Path, slug: str = PARITY, options: AuditOptions | None = None) -> RuleResult:
     """Return what one rule of the offline gate says of a package."""
+    options = replace(options or AuditOptions(), gates=(Gate.OFFLINE,))
     (entry,) = (one for one in select((), (), (Gate.OFFLINE,)) if one.slug == slug)
-    given = {"path": package, "kind": "policy", "gate": Gate.OFFLINE, "options": AuditOptions(gates=(Gate.OFFLINE,))}
+    given = {"path": package, "kind": "policy", "gate": Gate.OFFLINE, "options": options}
     with Facts(given, providers.all_providers()) as facts:
         checks = Checks(facts)
         facts.add("checks", checks)
@@ -89,13 +101,7 @@ def tried(mutant: Mutant, recorded: Recorded) -> Trial:
     with tempfile.TemporaryDirectory() as place:
         package = mutant.write(Path(place))
         recorded.give(package)
-        result = judged(package)
-    if not result.findings:
-        return Trial(str(result.outcome), result.reason or "")
-    causes = [dict(one.evidence or {}).get("cause") for one in result.findings]
-    cause = next((one for one in causes if one), None) or {}
-    named = tuple(cause.get("conventions", ()))
-    return Trial(str(result.outcome), result.findings[0].message, cause.get("convention"), cause.get("words"), named)
+        return Trial.of(judged(package))
 
 
 def main() -> None:
