@@ -101,19 +101,19 @@ def test_forked_workers_share_imports_and_nothing_else(
 
 
 @pytest.mark.parametrize(
-    ("library", "is_forked"),
+    "case",
     [("import json", True), ("import colorsys", False), ("import threading; threading.Thread({idle}).start()", False)],
     ids=["as usual", "it imports what the adapter hides", "it starts a thread"],
 )
 def test_workers_are_started_where_a_fork_would_differ(
-    library: str,
-    is_forked: bool,
+    case: tuple[str, bool],
     serve: Callable[..., dict[str, Any]],
     write_adapter: WriteAdapter,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """And each gets the module that its adapter puts before that of the standard library."""
+    library, is_forked = case
     idle = "target=threading.Event().wait, daemon=True"
     (tmp_path / "a_library.py").write_text(library.format(idle=idle), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))

@@ -5,8 +5,8 @@ says. The files differ by who planted: `known.yml` by somebody who knew how the 
 somebody who did not, and the search was then bettered by what it had missed; `fresh.yml` by somebody else who did not,
 when that was done; `planted.yml`, four of whose thirty are two mistakes at once, by yet another one when the search was
 written anew, which was then bettered by what it had missed; `later.yml`, likewise thirty, by the next one after that.
-The rates are told apart: only those at first sight of the last three are out of sample. Those of `packages.yml` are in the
-packages of `policy/` with their authors' own code (`packages.py`), by somebody who had not read the search.
+The rates are told apart: only those at first sight of the last three are out of sample. Those of `packages.yml` are in
+the packages of `policy/` with their authors' own code (`packages.py`), by somebody who had not read the search.
 """
 
 from __future__ import annotations
