@@ -32,7 +32,7 @@ def map_in_processes(
     """
     if not items:
         return
-    count = min(workers or _cores(), len(items))
+    count = min(workers or cores(), len(items))
     rest = iter(items)
     waiting: collections.deque[Future[Result]] = collections.deque()
     with warnings.catch_warnings(), _pool(count) as pool:
@@ -65,7 +65,7 @@ def end_with_parent(parent: int) -> None:
             os._exit(1)
 
 
-def _cores() -> int:
+def cores() -> int:
     """Return how many cores this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))

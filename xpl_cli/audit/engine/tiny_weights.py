@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.checkpoint import CheckpointError, resolve
 from xpl_cli.audit.rules.profiles import Profile
-from xpl_cli.basics import user_cache
+from xpl_cli.basics import parallel, user_cache
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.phrases import join_limited
 from xpl_cli.lifecycle import interpreter
@@ -59,7 +58,7 @@ def provide(report: TargetReport, source: Source, options: AuditOptions) -> Audi
         checkpoint = tiny_checkpoint.find(config, package.path)
         if checkpoint is None:
             return options
-        options = replace(options, servers_ahead=min(os.cpu_count() or 1, _MOST_AHEAD))
+        options = replace(options, servers_ahead=min(parallel.cores(), _MOST_AHEAD))
         _record_pairs(package, checkpoint, options)
     except UserError as error:
         options.progress.detail(f"{source.path.name}: {error}")
