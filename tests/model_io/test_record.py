@@ -16,6 +16,7 @@ from tests.support.peer import xpl
 from xpl.embodiment import get_embodiment
 from xpl.worker import reference as worker
 from xpl_cli.basics.errors import ExitCode, UserError
+from xpl_cli.lifecycle.python_env import sources
 from xpl_cli.model_io import names, pairs, provenance, record
 from xpl_cli.packages import package
 from xpl_cli.standard import answers
@@ -67,6 +68,21 @@ def test_other_citations_leave_a_recording_as_it_is_and_other_code_of_the_author
         "msgpack/__init__.py of the authors' code was changed"
     ]
     assert provenance.code_problems(folder, changed) == []
+
+
+def test_code_on_the_path_is_compared_where_the_root_has_other_files_of_its_names(tmp_path: Path) -> None:
+    """H-RDT has `models/` at its root, and other files of these names in the folder that its example runs in."""
+    site, root = tmp_path / "env" / "lib" / "python3.12" / "site-packages", tmp_path / "env" / "src" / "them"
+    example = root / "example"
+    for folder, text in ((root, "answer = 1\n"), (example, "answer = 2\n")):
+        (folder / "models").mkdir(parents=True)
+        (folder / "models" / "net.py").write_text(text)
+    site.mkdir(parents=True)
+    python, recorded_there = str(tmp_path / "env" / "bin" / "python"), worker.code_digest(example / "models" / "net.py")
+    message = {"reference": {}, "authors": {"models/net.py": recorded_there}}
+    assert provenance.code_problems(tmp_path, message, python) != []
+    (site / sources.ON_PATH).write_text(f"{example}\n{tmp_path}\n")
+    assert provenance.code_problems(tmp_path, message, python) == []
 
 
 def test_what_would_change_is_told_before_it_is_written(tmp_path: Path) -> None:

@@ -7,14 +7,14 @@ quotation.text, quotation.problem       # the lines; None, or that the symbol st
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
 from xpl_cli.basics import files
-from xpl_cli.lifecycle.python_env import environments
+from xpl_cli.lifecycle.python_env import environments, sources
 from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
@@ -92,14 +92,21 @@ def folders(package: Path, python: str | None = None) -> tuple[Path, ...]:
         python: its interpreter. None: environments that `xpl install` made, and not where other links lead to.
     """
     if python is not None:
-        prefix = Path(python).parent.parent
-        return package, *(folder for pattern in _SITE for folder in sorted(prefix.glob(pattern)))
+        return package, *_installed(Path(python).parent.parent)
     resolved = package.resolve()
-    site_folders = [
-        folder for name in _ENVIRONMENTS for pattern in _SITE for folder in sorted(resolved.glob(f"{name}/{pattern}"))
-    ]
+    site_folders = [folder for name in _ENVIRONMENTS for folder in _installed(resolved / name)]
     own = (resolved, environments.shared_folder().resolve())
     return package, *(folder for folder in site_folders if any(folder.resolve().is_relative_to(one) for one in own))
+
+
+def _installed(environment: Path) -> Iterator[Path]:
+    """Yield where an environment has packages and repositories, and the folders of these that are on its path."""
+    folders = [folder for pattern in _SITE for folder in sorted(environment.glob(pattern))]
+    yield from folders
+    for folder in folders:
+        if (folder / sources.ON_PATH).is_file():
+            lines = (folder / sources.ON_PATH).read_text(encoding="utf-8", errors="replace").splitlines()
+            yield from (path for path in map(Path, lines) if path.is_relative_to(environment.resolve()))
 
 
 def lookup(citation: Citation, folders: Sequence[Path]) -> Quotation | None:

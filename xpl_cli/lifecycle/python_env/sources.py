@@ -24,9 +24,10 @@ if TYPE_CHECKING:
 
 MIRROR: Final = "XPL_MIRROR"
 """Variable with a folder of mirrors, OWNER/NAME or OWNER/NAME.git in it; git repositories come from there alone."""
+ON_PATH: Final = "xpl-sources.pth"
+"""File in site-packages with the folders of repositories that are on an interpreter's path, one a line."""
 PATH, PACKAGE, OVERLAY = "path", "package", "overlay"
 _FOLDER: Final = "src"
-_ON_PATH: Final = "xpl-sources.pth"
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][\w.-]*", re.ASCII)
 _SAFE: Final = ("-c", "protocol.ext.allow=never", "-c", "core.hooksPath=/dev/null", "-c", "advice.detachedHead=false")
 
@@ -60,7 +61,7 @@ def add(plan: EnvironmentPlan, folder: Path, install: Callable[[Path], None]) ->
         else:
             on_path.append(str(root))
     if on_path:
-        (_site_packages(folder) / _ON_PATH).write_text("".join(f"{line}\n" for line in on_path), encoding="utf-8")
+        (_site_packages(folder) / ON_PATH).write_text("".join(f"{line}\n" for line in on_path), encoding="utf-8")
     return [{"git": one.git, "commit": one.commit, "install": one.install} for one in plan.sources]
 
 
