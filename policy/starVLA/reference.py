@@ -92,9 +92,12 @@ def answers(config: dict[str, Any]) -> Any:
     from deployment.model_server.tools.websocket_policy_server import WebsocketPolicyServer
     from scipy.spatial.transform import Rotation
 
-    for module in ("libero", "libero.libero", "libero.libero.envs", "imageio", "matplotlib", "matplotlib.pyplot"):
-        sys.modules[module] = mock.MagicMock()
+    absent = ("libero", "libero.libero", "libero.libero.envs", "imageio", "matplotlib", "matplotlib.pyplot")
+    sys.modules.update({module: mock.MagicMock() for module in absent})
     from examples.simBenchmarks.LIBERO.eval_files import eval_libero, model2libero_interface
+
+    for module in absent:  # else other libraries take them for installed
+        del sys.modules[module]
 
     simulator, task = Simulator(), mock.MagicMock(problem_folder="", bddl_file="")
     suite = eval_libero.benchmark.get_benchmark_dict()["libero_goal"]()
