@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any
 
 WIDTH, ACTIONS, STEPS = 64, 14, 16
+MIDDLE = (-0.25, 1.7, 1.5, 0.0, 0.0, 0.0)
+"""Of the joints' limits, rad."""
 ENCODERS = {  # folder of the weights: their file, and what is before each name in it
     "vit_large_patch14_reg4_dinov2.lvd142m": ("pytorch_model.bin", ""),
     "vit_so400m_patch14_siglip_384": ("open_clip_pytorch_model.bin", "visual.trunk."),
@@ -64,9 +66,9 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     with torch.no_grad():
         denoise(policy)
         block = policy.model.blocks[0]
-        block.attn.wo.weight *= gain("state")
+        block.attn.wo.weight *= 2 * gain("state")
         block.img_cross_attn.wo.weight *= max(gain(name) for name in ("cam_head", "cam_left_wrist", "cam_right_wrist"))
-        block.lang_cross_attn.wo.weight *= gain("instruction")
+        block.lang_cross_attn.wo.weight *= 0.5 * gain("instruction")
     policy.bfloat16().save_pretrained(folder)
 
 
@@ -87,12 +89,12 @@ def denoise(policy: Any) -> None:
     gates = block.adaLN_modulation[-1].bias.view(9, WIDTH)
     gates[[2, 5, 8]] = 1.0  # of attention, images and MLP; its authors begin with zeros
     for layer in (block.attn.wo, block.img_cross_attn.wo, block.lang_cross_attn.wo, block.ffn.w2):
-        layer.weight *= 0.15
+        layer.weight *= 0.08
         layer.weight[[6, 13]] *= 0.2  # the grippers', which may not leave 0..1
     decoder.fc1.weight.zero_()[: 2 * ACTIONS] = torch.cat([carry, -carry])  # silu(x) - silu(-x) is x
     scale = spread * (1 - ACTIONS / WIDTH) ** 0.5 / share
     decoder.fc2.weight.zero_()[:, : 2 * ACTIONS] = scale * torch.cat([-torch.eye(ACTIONS), torch.eye(ACTIONS)], 1)
-    decoder.fc2.bias.fill_(0.5)  # within the joints' limits, and half open
+    decoder.fc2.bias.copy_(torch.tensor([*MIDDLE, 0.7, *MIDDLE, 0.7]))
 
 
 def tokenizer() -> Any:
