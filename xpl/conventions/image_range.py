@@ -46,7 +46,8 @@ class PixelScaling:
 
     Attributes:
         is_bytes: they stay bytes; else float32.
-        low, scale: `bytes * scale + low`, then `mean` is taken off and `std` divided by; float32.
+        low, span: `bytes * span / 255 + low`, then `mean` is taken off and `std` divided by; float32. A product with
+            1 / 255 would differ from this quotient, which torchvision, LeRobot and openpi compute, in the last digit.
 
     Raises:
         ConversionError: if they are no numbers of images.
@@ -55,15 +56,14 @@ class PixelScaling:
     def __init__(self, entry: Entry, where: str) -> None:
         self.is_bytes = entry["dtype"] == "uint8"
         low, high = entry.get("range", (0.0, 1.0))
-        self.low, self._span = np.float32(low), high - low
-        self.scale = np.float32(self._span / _BYTES)
+        self.low, self.span = np.float32(low), np.float32(high - low)
         self.mean = np.asarray(entry.get("mean", 0.0), np.float32)
         self.std = np.asarray(entry.get("std", 1.0), np.float32)
         if self.is_bytes and not {"range", "mean", "std"}.isdisjoint(entry):
             raise ConversionError(
                 f"{where}: bytes have neither range nor mean and std; say dtype: float32, or leave them out"
             )
-        if not self._span:
+        if not self.span:
             raise ConversionError(f"{where}: range is {low} at both ends; say what 0 and 255 become")
         if (self.std == 0).any():
             raise ConversionError(f"{where}: std holds a zero, and images are divided by it; give each channel's own")
@@ -72,12 +72,12 @@ class PixelScaling:
         """Return the model's numbers of images (..., 3), 0 to 255."""
         if self.is_bytes:
             return as_bytes(values)
-        result: np.ndarray = (values * self.scale + self.low - self.mean) / self.std
+        result: np.ndarray = (values * self.span / np.float32(_BYTES) + self.low - self.mean) / self.std
         return result.astype(np.float32, copy=False)
 
     def decode(self, values: np.ndarray) -> np.ndarray:
         """Return images (..., 3), 0 to 255 and not rounded, of the model's numbers."""
-        return values if self.is_bytes else (values * self.std + self.mean - self.low) * (_BYTES / self._span)
+        return values if self.is_bytes else (values * self.std + self.mean - self.low) * (_BYTES / self.span)
 
 
 def as_bytes(values: np.ndarray) -> np.ndarray:

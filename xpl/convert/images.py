@@ -92,12 +92,12 @@ class ImageInput:
 
     @property
     def scaling(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Scale, low, mean and std of the pixel scaling, float32, broadcastable to the whole input.
+        """Span, low, mean and std of the pixel scaling, float32, broadcastable to the whole input.
 
-        `(bytes * scale + low - mean) / std`; the bytes are what `encode` returns for `dtype: uint8`.
+        `(bytes * span / 255 + low - mean) / std`; the bytes are what `encode` returns for `dtype: uint8`.
         """
         pixels = self._pixels
-        return np.asarray(pixels.scale), np.asarray(pixels.low), self._spread(pixels.mean), self._spread(pixels.std)
+        return np.asarray(pixels.span), np.asarray(pixels.low), self._spread(pixels.mean), self._spread(pixels.std)
 
     def _spread(self, values: np.ndarray) -> np.ndarray:
         if not values.ndim:

@@ -151,7 +151,7 @@ class TrainingData:
         self.device, self.noise = device, noise
         self.inputs = {name: torch.as_tensor(value, device=device) for name, value in windows.inputs.items()}
         self.pixels = {
-            name: [torch.as_tensor(part, device=device) for part in (look.scale, look.low, look.mean, look.std)]
+            name: [torch.as_tensor(part, device=device) for part in (look.span, look.low, look.mean, look.std)]
             for name, look in windows.pixels.items()
         }
         self.history_rows = {
@@ -169,8 +169,8 @@ class TrainingData:
         for name, values in self.inputs.items():
             picked = values[self.history_rows[name][rows]] if name in self.history_rows else values[rows]
             if name in self.pixels:
-                scale, low, mean, std = self.pixels[name]
-                picked = (picked.float() * scale + low - mean) / std
+                span, low, mean, std = self.pixels[name]
+                picked = (picked.float() * span / 255 + low - mean) / std
             elif self.noise:
                 picked = picked + self.noise * torch.randn_like(picked)
             result[name] = picked

@@ -13,20 +13,20 @@ Values = Union[np.ndarray, "list[str]"]
 
 @dataclass(frozen=True)
 class Pixels:
-    """Scaling of uint8 images to a model's input: `(bytes * scale + low - mean) / std`, in float32 and this order.
+    """Scaling of uint8 images to a model's input: `(bytes * span / 255 + low - mean) / std`, in float32 and this order.
 
     Attributes:
-        scale, low, mean, std: float32 arrays that broadcast over the input.
+        span, low, mean, std: float32 arrays that broadcast over the input.
     """
 
-    scale: np.ndarray
+    span: np.ndarray
     low: np.ndarray
     mean: np.ndarray
     std: np.ndarray
 
     def numbers(self, values: np.ndarray) -> np.ndarray:
         """Return the scaled values of uint8 images, float32, bit-identical to those of `encode`."""
-        result: np.ndarray = (values * self.scale + self.low - self.mean) / self.std
+        result: np.ndarray = (values * self.span / np.float32(255) + self.low - self.mean) / self.std
         return result
 
 

@@ -54,6 +54,14 @@ def test_numbers() -> None:
     assert seen.dtype == np.float32
 
 
+def test_numbers_are_the_quotient_that_the_field_computes() -> None:
+    """LeRobot and openpi divide by 255; a product with 1 / 255 differs in the last digit of every second byte."""
+    every = np.arange(256, dtype=np.uint8).reshape(16, 16, 1).repeat(3, axis=2)
+    quotient = every.astype(np.float32) / np.float32(255)
+    assert np.array_equal(_input(dtype="float32", range=[0, 1]).view(every), quotient)
+    assert np.array_equal(_input(dtype="float32", range=[-1, 1]).view(every), quotient * 2 - 1)
+
+
 def test_stacks() -> None:
     obs = _obs(cam_head=CORNERS, cam_left_wrist=CORNERS[::-1])
     both = ("cam_head", "cam_left_wrist")
