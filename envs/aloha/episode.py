@@ -87,8 +87,10 @@ class AlohaEpisode(Episode):
         """Execute one action step: gym-aloha takes it as it is."""
         keys = (spec.State.ARM_JOINT_STATE, spec.State.EE_JOINT_STATE)
         parts = [action[f"{arm}_{key}"] for arm in self._arms for key in keys]
-        self._last_command = np.concatenate(parts).astype(np.float64)
-        obs, self._reward, _, _, _ = self._env.step(self._last_command)
+        # float32, as its action space says: it computes the fingers' positions in the type of the action.
+        command = np.concatenate(parts).astype(np.float32)
+        self._last_command = command.astype(np.float64)
+        obs, self._reward, _, _, _ = self._env.step(command)
         self._highest = max(self._highest, self._reward)
         self._look(obs)
         self._expert.advance()
