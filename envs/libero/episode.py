@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from xpl import _spec as spec
+from xpl import rotation
 from xpl.environment import Episode, Setup
 from xpl.episode import SUCCESS_SCORE, Simulated
 from xpl.poses import compose, invert, pose
@@ -27,7 +28,7 @@ _STILL = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]  # what everybody sends while obje
 _SCALE = np.array([0.05, 0.05, 0.05, 0.5, 0.5, 0.5])  # m and rad that an action of 1 is; a test reads the controller's
 _STROKE = 0.08  # m between the fingers when they are open
 _LINK_TO_FLANGE = np.array([0.0, 0.0, 0.107, 1.0, 0.0, 0.0, 0.0])  # of Franka's last joint
-_HAND = np.array([0.0, 0.0, 0.0, np.cos(np.pi / 8), 0.0, 0.0, -np.sin(np.pi / 8)])  # Franka's hand in its flange
+_HAND_TO_FLANGE = invert(pose([0.0, 0.0, 0.0965], rotation.normalise([0.924, 0.0, 0.0, -0.383])))  # robosuite's panda
 _SEED = 0  # fixtures are placed by LIBERO's random numbers, and no initial state holds them
 
 
@@ -112,12 +113,14 @@ class LiberoEpisode(Episode):
     def _look(self, obs: Mapping[str, Any]) -> None:
         self._obs = obs
         left, right = obs["robot0_gripper_qpos"]
-        flange = self._flange()
+        # The pose that LIBERO observes, of the point between the fingers, turned as the hand is. robosuite samples it
+        # before the last steps of its physics: a moving arm is up to a millimetre ahead of what policies read.
+        hand = pose(obs["robot0_eef_pos"], np.roll(obs["robot0_eef_quat"], 1))
         self._state = {
             spec.State.ARM_JOINT_STATE: obs["robot0_joint_pos"],
             spec.State.EE_JOINT_STATE: np.clip([(left - right) / _STROKE], 0.0, 1.0),
-            spec.State.EE_POSE: flange,
-            spec.State.TCP_POSE: self._tcp(flange),
+            spec.State.EE_POSE: compose(hand, _HAND_TO_FLANGE),
+            spec.State.TCP_POSE: hand,
         }
 
     def _flange(self) -> NDArray[np.float64]:
@@ -133,7 +136,3 @@ class LiberoEpisode(Episode):
     def _clipped_delta(self, flange: Any) -> NDArray[np.float64]:
         """Return where that point is for a pose of the flange."""
         return compose(flange, self._tool)
-
-    def _tcp(self, flange: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the pose of that point, turned as the hand is."""
-        return pose(self._grip()[: spec.POSITION_DIM], compose(flange, _HAND)[spec.POSITION_DIM :])

@@ -33,8 +33,8 @@ CONVENTIONS = {
 SIMULATOR = ("libero", "libero.libero", "libero.libero.envs", "draccus", "imageio", "wandb")
 TOOL = np.array([0.0, 0.0, 0.0965])
 """Of the flange, m: the point between LIBERO's fingers."""
-HAND = np.array([np.cos(np.pi / 8), 0.0, 0.0, -np.sin(np.pi / 8)])
-"""Quaternion (w, x, y, z) of Franka's hand at the flange: -45 degrees about z."""
+HAND = np.array([0.924, 0.0, 0.0, -0.383]) / np.hypot(0.924, 0.383)
+"""Quaternion (w, x, y, z) of Franka's hand at the flange: robosuite's of -45 degrees about z, as robot.xml rounds it."""
 
 
 def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:
