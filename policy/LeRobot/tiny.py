@@ -7,8 +7,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from .recipes.simulators import VARIANTS
+
 
 def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any]) -> None:
     """Write the checkpoint of a variant; `gain` scales the weights that read an input."""
-    recipe = importlib.import_module(f".recipes.{config.get('variant') or 'act'}", __package__)
+    variant = config.get("variant") or "act"
+    data = VARIANTS.get(variant)
+    recipe = importlib.import_module(f".recipes.{data.recipe if data else variant}", __package__)
     recipe.write(folder, gain, config)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .parts import features, statistics
+from .simulators import VARIANTS
 
 
 def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any]) -> None:
@@ -17,10 +18,12 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
 
     from xpl.training import tiny_lerobot
 
+    data = VARIANTS.get(config.get("variant") or "")
+    chunk = 100 if data else 16
     settings = ACTConfig(
-        **features(96, 96),
-        chunk_size=16,
-        n_action_steps=16,
+        **(data.features() if data else features(96, 96)),
+        chunk_size=chunk,
+        n_action_steps=chunk,
         pretrained_backbone_weights=None,
         dim_model=64,
         n_heads=4,
@@ -32,4 +35,4 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     with torch.no_grad():
         policy.model.encoder_robot_state_input_proj.weight *= gain("state")
         policy.model.encoder_img_feat_input_proj.weight *= gain("cam_head") * gain("cam_wrist")
-    tiny_lerobot.save(folder, policy, statistics())
+    tiny_lerobot.save(folder, policy, data.statistics() if data else statistics())

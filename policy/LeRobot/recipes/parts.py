@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,15 +33,20 @@ def statistics() -> dict[str, dict[str, Any]]:
     import torch
 
     centre = torch.tensor(CENTRE)
+    state, action = moments(centre, 0.5), moments(centre, 0.1)
+    return {"observation.state": state, "action": action, **image_statistics(CAMERAS)}
+
+
+def image_statistics(cameras: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return those of ImageNet for each camera."""
+    import torch
+
     image = {"mean": torch.tensor([0.485, 0.456, 0.406]), "std": torch.tensor([0.229, 0.224, 0.225])}
-    return {
-        "observation.state": _moments(centre, 0.5),
-        "action": _moments(centre, 0.1),
-        **{name: {rule: values.view(3, 1, 1) for rule, values in image.items()} for name in CAMERAS},
-    }
+    return {name: {rule: values.view(3, 1, 1) for rule, values in image.items()} for name in cameras}
 
 
-def _moments(centre: Any, spread: float) -> dict[str, Any]:
+def moments(centre: Any, spread: float) -> dict[str, Any]:
+    """Return the statistics of numbers around a centre for every rule of normalization."""
     low, high = centre - 2 * spread, centre + 2 * spread
     quantiles = {"q01": low, "q10": low, "q50": centre, "q90": high, "q99": high}
     return {"mean": centre, "std": 0 * centre + spread, "min": low, "max": high, **quantiles}

@@ -1,0 +1,1 @@
+"""What `benchmarks/authors_loops.py` runs and compares."""

@@ -1,0 +1,74 @@
+"""The evaluation in LIBERO of OpenVLA-OFT's authors, run_libero_eval.py.
+
+`benchmarks/authors_loops.py` runs this beside `xpl eval`, and compares what reaches model and simulator. It uses
+nothing of model.py or policy.yml.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+_LIBERO: dict[str, Any] = {
+    "variant": None,
+    "environment": "libero",
+    "setting": "delta",
+    "task": "libero_spatial_0",
+    "model": {
+        "images": "experiments.robot.openvla_utils:prepare_images_for_vla",
+        "model": "experiments.robot.openvla_utils:get_vla_action",
+    },
+}
+LOOPS = {"libero": _LIBERO, "libero_even_fingers": _LIBERO}
+"""What `xpl eval` runs, and functions through which both loops ask the model.
+
+In `libero_even_fingers` their loop reads both fingers at half their distance, as the standard has one number for a
+gripper: LIBERO's fingers are up to 0.1 mm apart from that while they move.
+"""
+
+
+def evaluation(config: dict[str, Any]) -> Callable[[Any], None]:
+    """Return a function that runs their evaluation, whose first episode is the initial state of a trial's seed."""
+    name, here = config["ckpt_name"], Path(__file__).parent
+    checkpoint = str(here / name if "/" in name else here / "checkpoints" / name)
+
+    def evaluate(trial: Any) -> None:
+        os.environ["TORCH_FORCE_NO_WEIGHTS_ONLY_LOAD"] = (
+            "1"  # LIBERO's initial states are pickles, as torch 2.2 read them
+        )
+        unused: dict[str, Any] = {name: mock.MagicMock() for name in ("wandb", "imageio")}  # logs and videos
+        unused["draccus"] = SimpleNamespace(wrap=lambda: lambda function: function)  # the command line
+        with mock.patch.object(sys, "argv", ["libero"]):  # from which they take the robot's constants
+            import experiments.robot.robot_utils  # noqa: F401
+        sys.modules.update(unused)
+        from experiments.robot.libero import run_libero_eval as upstream
+
+        load = upstream.load_initial_states
+
+        def load_from_seed(*args: Any, **kwargs: Any) -> Any:
+            states, every = load(*args, **kwargs)
+            return states[trial.seed :], every
+
+        prepare = upstream.prepare_observation
+
+        def prepare_even(obs: Any, size: Any) -> Any:
+            left, right = obs["robot0_gripper_qpos"]
+            return prepare({**obs, "robot0_gripper_qpos": np.array([left - right, right - left]) / 2}, size)
+
+        if trial.loop == "libero_even_fingers":
+            upstream.prepare_observation = prepare_even
+        with mock.patch.object(upstream, "load_initial_states", load_from_seed):
+            upstream.eval_libero(
+                upstream.GenerateConfig(
+                    pretrained_checkpoint=checkpoint, task_suite_name=config["unnorm_key"].removesuffix("_no_noops")
+                )
+            )
+
+    return evaluate
