@@ -37,7 +37,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     state = normalize.NormStats(mean=np.where(grippers, 0.4, 0.0), std=np.full(WIDTH, 0.5))
     actions = normalize.NormStats(mean=np.where(grippers, -0.1, 0.0), std=np.where(grippers, 0.2, 0.05))
     normalize.save(folder / "assets" / train.data.assets.asset_id, {"state": state, "actions": actions})
-    path = folder / "env" / "OPENPI_DATA_HOME" / "big_vision" / "paligemma_tokenizer.model"
+    path = folder / "openpi" / "big_vision" / "paligemma_tokenizer.model"
     path.parent.mkdir(parents=True)
     path.write_bytes(tokenizer())
 

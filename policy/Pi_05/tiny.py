@@ -37,7 +37,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         for name, width in (("state", 8), ("actions", 7))
     }
     normalize.save(folder / "assets" / train.data.repo_id, statistics)
-    path = folder / "env" / "OPENPI_DATA_HOME" / "big_vision" / "paligemma_tokenizer.model"
+    path = folder / "openpi" / "big_vision" / "paligemma_tokenizer.model"
     path.parent.mkdir(parents=True)
     path.write_bytes(tokenizer())
 

@@ -61,7 +61,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         saver.save(folder.resolve() / "params", {"params": tree})
     one = normalize.NormStats(mean=np.zeros(8), std=np.ones(8), q01=np.full(8, -2.0), q99=np.full(8, 2.0))
     normalize.save(folder / "assets" / train.data.assets.asset_id, {"state": one, "actions": one})
-    path = folder / "env" / "OPENPI_DATA_HOME" / "big_vision" / "paligemma_tokenizer.model"
+    path = folder / "openpi" / "big_vision" / "paligemma_tokenizer.model"
     path.parent.mkdir(parents=True)
     path.write_bytes(proto)
     action_tokenizer(folder / "hub" / "physical-intelligence--fast")
