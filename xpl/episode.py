@@ -163,7 +163,13 @@ class EpisodeRunner:
         setup = episode.setup
         self._frequency = setup.frequency
         # The author chooses the start pose, and a simulator accepts any first command.
-        self._safety = Supervisor(setup.embodiment, setup.action_type, setup.frequency, first_steps=math.inf)
+        self._safety = Supervisor(
+            setup.embodiment,
+            setup.action_type,
+            setup.frequency,
+            first_steps=math.inf,
+            fastest=setup.manifest.fastest,
+        )
 
     def reset(self, seed: int) -> None:
         """Begin an episode."""

@@ -7,6 +7,7 @@ against `spec/`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
@@ -373,6 +374,7 @@ class EnvManifest(Document):
         cameras: properties by camera of the standard, as they are written.
         any_embodiment: it suits every robot, not only those listed.
         real_time: time goes on while a policy thinks; None where the manifest does not say.
+        speed_limits: commands are clamped to the speeds of the robot; False counts only for a simulation that waits.
         expert: the policy that solves its tasks, where one comes along.
         splits: task names by the benchmark's own lists.
         evaluation_seeds: None where nothing is frozen.
@@ -393,6 +395,7 @@ class EnvManifest(Document):
     cameras: Mapping[str, Entry] = map_field(Mapping)
     control_frequency: float = value_field(float, 0.0)
     real_time: bool | None = value_field(bool)
+    speed_limits: bool = value_field(bool, default=True)
     pose_frame: str | None = value_field(str)
     privileged: bool = value_field(bool, default=False)
     scripted: bool = value_field(bool, default=False)
@@ -417,6 +420,11 @@ class EnvManifest(Document):
     def offers(self, robot: str) -> bool:
         """Tell whether the environment offers a robot, by any of its names, or suits whichever there is."""
         return self.any_embodiment or robot in map(robots.canonical, self.embodiments)
+
+    @property
+    def fastest(self) -> float:
+        """Multiple of the robot's speeds that a command may have."""
+        return math.inf if not self.speed_limits and self.real_time is False else 1.0
 
     @property
     def is_real(self) -> bool:

@@ -95,12 +95,13 @@ class Supervisor:
         frequency: control rate, Hz.
         max_age_s: seconds after which an action is too old to be executed; `AGE_STEPS` control steps by default.
         first_steps: most control steps of motion at full speed to the first action; `math.inf` for no limit.
+        fastest: multiple of these speeds that a command may have; `math.inf` for no limit.
 
     Raises:
         ValueError: a number is not positive.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - each option is a limit of its own
         self,
         embodiment: Embodiment,
         action_type: str,
@@ -108,15 +109,16 @@ class Supervisor:
         *,
         max_age_s: float | None = None,
         first_steps: float = FIRST_STEPS,
+        fastest: float = 1.0,
     ) -> None:
-        if not (frequency > 0 and first_steps > 0 and (max_age_s is None or max_age_s > 0)):
-            raise ValueError(f"expected positive numbers, got {frequency=}, {max_age_s=}, {first_steps=}")
+        if not (frequency > 0 and first_steps > 0 and fastest > 0 and (max_age_s is None or max_age_s > 0)):
+            raise ValueError(f"expected positive numbers, got {frequency=}, {max_age_s=}, {first_steps=}, {fastest=}")
         self._embodiment, self._action_type = embodiment, action_type
         self._dims = embodiment.dims(action_type)
         self.period = 1.0 / frequency
         self.max_age_s = AGE_STEPS * self.period if max_age_s is None else max_age_s
         self._first_steps = first_steps
-        self._parts = _parts(embodiment, action_type, self.period)
+        self._parts = _parts(embodiment, action_type, self.period * fastest)
         self._poses = [part for part in self._parts if isinstance(part, _PoseBounds)]
         self._last_command: list[float] | None = None
         self._is_first = True

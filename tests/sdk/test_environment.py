@@ -80,6 +80,16 @@ def test_an_episode_ends_with_success_or_with_its_step_limit() -> None:
     assert second["score"] == pytest.approx(4 / 50)
 
 
+@pytest.mark.parametrize(("real_time", "bent"), [(False, set()), (True, {"joint_speed"}), (None, {"joint_speed"})])
+def test_speeds_are_limited_unless_a_simulation_says_otherwise(*, real_time: bool | None, bent: set[str]) -> None:
+    """What may be a robot is limited, whatever its manifest says."""
+    manifest = {**MANIFEST, "speed_limits": False, "real_time": real_time}
+    env = Environment(_Counter, EnvManifest.parse(manifest), {**CONFIG, "seed": 5})
+    env.reset()
+    fast = {**HOLD, "arm_joint_state": np.full(7, 0.5, np.float32) * [1, 1, 1, -1, 1, 1, 1]}
+    assert set(env.take_action(fast)["corrections"].get("", ())) == bent
+
+
 def test_limits_are_kept_and_corrections_reported_and_counted() -> None:
     """A command beyond a joint's limit moves as far as its speed lets it; what the author reports is added."""
     env = _env()

@@ -116,6 +116,18 @@ def test_a_correction_says_what_where_and_how_far() -> None:
     assert found["gripper_range", "left_"].amount == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize("control", spec.ACTION_TYPES)
+def test_a_simulated_benchmark_may_execute_any_speed(control: str) -> None:
+    """Commands keep the robot's limits, and move as far as its own evaluation lets them."""
+    supervisor = _supervisor("aloha", control, first_steps=math.inf, fastest=math.inf)
+    action = _hold("aloha", control)
+    key = f"left_{'arm_joint_state' if control == 'joint' else 'ee_pose'}"
+    action[key][0] += 1.0
+    verdict = supervisor.check(action)
+    assert verdict.action is action
+    assert verdict.corrections == ()
+
+
 def test_a_quaternion_of_another_length_is_repaired_and_told() -> None:
     supervisor = _supervisor("franka_single", "ee")
     action = {"ee_pose": np.array([*POSE[:3], 3.0, 0, 0, 0]), "ee_joint_state": [1.0]}
