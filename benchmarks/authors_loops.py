@@ -27,7 +27,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.authors_loops_bench.comparison import Recording, Verdict, compare
+from benchmarks.authors_loops_bench.comparison import Reading, Recording, Verdict, compare
 from xpl.manifest import PythonEnvironment
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages.package import load
@@ -48,8 +48,8 @@ SIMULATORS = {
     },
 }
 """Of each environment package, the functions of the simulator that are recorded."""
-CLIPPED = {"metaworld": 1.0, "libero": 1.0}
-"""Largest number of a command by environment: the simulator itself clips to it, and `xpl` does so before."""
+READINGS = {"metaworld": Reading(largest=1.0), "libero": Reading(largest=1.0, signs=(-1,))}
+"""What simulators make of a command before they use it, by environment."""
 LIMIT_S = 3600.0
 VARIABLE = "AUTHORS_LOOPS_TAPS"
 """Read by `tap/sitecustomize.py`."""
@@ -125,7 +125,8 @@ def run(loop: Loop, options: Options) -> Verdict:
         run_theirs(loop, options, theirs)
     shutil.rmtree(ours, ignore_errors=True)
     run_ours(loop, options, ours)
-    recordings = (Recording.of(each, CLIPPED.get(loop.facts["environment"])) for each in (theirs, ours))
+    reading, left_out = READINGS.get(loop.facts["environment"], Reading()), loop.facts.get("left_out", ())
+    recordings = (Recording.of(each, reading, left_out) for each in (theirs, ours))
     return compare(*recordings, loop.facts.get("tolerance", 0.0))
 
 

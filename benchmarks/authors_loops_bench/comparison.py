@@ -15,6 +15,26 @@ COMMANDS, SHOWN = "command", "observation of the simulator"
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What a simulator makes of a command before it uses it.
+
+    Attributes:
+        largest: number to which it clips.
+        signs: indices of numbers of which it reads the sign alone.
+    """
+
+    largest: float = np.inf
+    signs: tuple[int, ...] = ()
+
+    def read(self, command: np.ndarray) -> np.ndarray:
+        """Return the numbers that the simulator uses."""
+        used = np.clip(command.astype(np.float64), -self.largest, self.largest)
+        for index in self.signs:
+            used[index] = np.sign(used[index])
+        return used
+
+
+@dataclass(frozen=True)
 class Recording:
     """One episode of a loop.
 
@@ -26,12 +46,13 @@ class Recording:
     sequences: dict[str, list[Values]]
 
     @classmethod
-    def of(cls, folder: Path, largest: float | None = None) -> Recording:
+    def of(cls, folder: Path, reading: Reading = Reading(), left_out: Sequence[str] = ()) -> Recording:
         """Read the files of `tap/sitecustomize.py`: the first episode with a step, from its last reset on.
 
         Args:
             folder: of the files.
-            largest: number to which commands are clipped, as the simulator does; None if it does not.
+            reading: of the commands.
+            left_out: beginnings of names of values that are not compared.
         """
         calls = [(path.stem.partition("-")[2], _load(path)) for path in sorted(folder.glob("*.npz"))]
         names = [name for name, _ in calls]
@@ -44,9 +65,16 @@ class Recording:
             for part, word in (("in", "input"), ("out", "result")):
                 sequences[f"{word} of {asked}"] = [_part(values, part) for name, values in episode if name == asked]
         commands = [_part(values, "in") for name, values in episode if name == STEP]
-        if largest is not None:
-            commands = [{key: np.clip(value, -largest, largest) for key, value in each.items()} for each in commands]
-        return cls({**sequences, COMMANDS: commands})
+        sequences[COMMANDS] = [{key: reading.read(value) for key, value in each.items()} for each in commands]
+        return cls(
+            {
+                name: [
+                    {key: value for key, value in each.items() if not key.startswith(tuple(left_out))}
+                    for each in values
+                ]
+                for name, values in sequences.items()
+            }
+        )
 
 
 @dataclass(frozen=True)
