@@ -14,6 +14,7 @@ from xpl_cli.audit.rules.options import AuditOptions
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.verdict import PARITY, VerdictStatus, verdict_of
 from xpl_cli.basics import user_cache
+from xpl_cli.basics.progress import Progress
 from xpl_cli.packages.package import POLICY
 
 if TYPE_CHECKING:
@@ -40,10 +41,15 @@ def write(folder, gain, config):
 
 
 def _audit(
-    folder: Path, block: dict[str, Any] = parity.BLOCK, recipe: str | None = RECIPE, model: str = MODEL, **options: Any
+    folder: Path,
+    block: dict[str, Any] = parity.BLOCK,
+    recipe: str | None = RECIPE,
+    model: str = MODEL,
+    code: str = REFERENCE,
+    **options: Any,
 ) -> TargetReport:
     if not folder.exists():
-        parity.write_adapter(folder, block, model=model, code=REFERENCE)
+        parity.write_adapter(folder, block, model=model, code=code)
         if recipe is not None:
             (folder / "tiny.py").write_text(recipe)
     names = ("serves", "golden-parity", "golden-provenance")
@@ -88,6 +94,14 @@ def test_without_a_recipe_or_in_shadow_mode_no_weights_are_made(
 def test_a_recipe_that_fails_leaves_the_audit_as_it_is_without(tmp_path: Path) -> None:
     report = _audit(tmp_path / "Foo", recipe="def write(folder, gain, config):\n    raise KeyError('hub')\n")
     assert "without the model" in str(verdict_of(report))
+
+
+def test_a_reference_that_fails_is_reported_and_the_weights_are_tiny_all_the_same(tmp_path: Path) -> None:
+    reported: list[str] = []
+    report = _audit(tmp_path / "Foo", code="import nowhere\n" + REFERENCE, progress=Progress(step=reported.append))
+    assert _outcome(report, "XPL260") is Outcome.NOT_RUN
+    assert report.circumstances.weights == "tiny random weights"
+    assert [text for text in reported if "nowhere" in text]
 
 
 def test_inputs_that_tiny_weights_ignore_are_in_the_verdict(tmp_path: Path) -> None:

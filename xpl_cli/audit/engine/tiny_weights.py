@@ -58,11 +58,14 @@ def provide(report: TargetReport, source: Source, options: AuditOptions) -> Audi
         checkpoint = tiny_checkpoint.find(config, package.path)
         if checkpoint is None:
             return options
-        options = replace(options, servers_ahead=min(parallel.cores(), _MOST_AHEAD))
-        _record_pairs(package, checkpoint, options)
     except UserError as error:
-        options.progress.detail(f"{source.path.name}: {error}")
+        options.progress.step(f"{source.path.name}: {error}")
         return options
+    options = replace(options, servers_ahead=min(parallel.cores(), _MOST_AHEAD))
+    try:
+        _record_pairs(package, checkpoint, options)
+    except UserError as error:  # the weights are tiny all the same
+        options.progress.step(f"{source.path.name}: {error}")
     has_pairs = (checkpoint / names.PAIRS).is_file()
     report.circumstances = replace(
         report.circumstances,
