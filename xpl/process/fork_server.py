@@ -177,6 +177,8 @@ def _import(modules: Iterable[tuple[str, str]], variables: Mapping[str, str]) ->
         variables: environment variables that were set when they were imported.
     """
     os.environ.update(variables)
+    # Asking the CUDA runtime whether there is a device starts threads. Source: docs.pytorch.org, CUDA environment variables.
+    os.environ.setdefault("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
     expected = dict(modules)
     adapter = os.getcwd() + os.sep  # noqa: PTH109 - compared as text
     refused: set[str] = set()
