@@ -18,7 +18,7 @@ class Model(Policy):
 
     def load(self, config: Mapping[str, Any]) -> None:
         """Load the policy; openpi is imported only here."""
-        from openpi.policies import policy_config
+        from openpi.policies import libero_policy, policy_config
         from openpi.training import config as training
 
         checkpoint = resolve(config, self.policy_dir)
@@ -26,15 +26,18 @@ class Model(Policy):
         shape = checkpoint / "config.json"  # as openpi's converter writes it; released checkpoints have none
         changes = {**(json.loads(shape.read_text()) if shape.exists() else {}), **self.setting("model", {})}
         known = {field.name for field in dataclasses.fields(train.model)}
-        self.settings = dataclasses.replace(train.model, **{key: changes[key] for key in known & changes.keys()})
-        self.network = policy_config.create_trained_policy(dataclasses.replace(train, model=self.settings), checkpoint)
+        settings = dataclasses.replace(train.model, **{key: changes[key] for key in known & changes.keys()})
+        self.network = policy_config.create_trained_policy(dataclasses.replace(train, model=settings), checkpoint)
+        self.shape = (settings.action_horizon, settings.action_dim)
+        noise = np.zeros(self.shape, np.float32)
+        self.network.infer(libero_policy.make_libero_example(), noise=noise)  # compiles now, not at the first action
 
     def predict(self, inputs: Mapping[str, Any], envs: Sequence[int]) -> np.ndarray:
         """Return one chunk for each environment, (B, H, 7), in LIBERO's own numbers; openpi samples one by one."""
-        shape, chunks = (self.settings.action_horizon, self.settings.action_dim), []
+        chunks = []
         blind = {"observation/state": np.zeros(8)}  # its transforms take one; pi05_libero has no input for it
         for row, env in enumerate(envs):
             asked = {**blind, **{name: values[row] for name, values in inputs.items()}}
-            noise = self.rng(env).standard_normal(shape).astype(np.float32)
+            noise = self.rng(env).standard_normal(self.shape).astype(np.float32)
             chunks.append(self.network.infer(asked, noise=noise)["actions"])
         return np.stack(chunks)

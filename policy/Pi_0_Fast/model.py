@@ -18,7 +18,7 @@ class Model(Policy):
 
     def load(self, config: Mapping[str, Any]) -> None:
         """Load the policy; openpi is imported only here."""
-        from openpi.policies import policy_config
+        from openpi.policies import droid_policy, policy_config
         from openpi.training import config as training
 
         checkpoint = resolve(config, self.policy_dir)
@@ -28,6 +28,7 @@ class Model(Policy):
         known = {field.name for field in dataclasses.fields(train.model)}
         model = dataclasses.replace(train.model, **{key: changes[key] for key in known & changes.keys()})
         self.network = policy_config.create_trained_policy(dataclasses.replace(train, model=model), checkpoint)
+        self.network.infer(droid_policy.make_droid_example())  # compiles now, not at the first action
 
     def predict(self, inputs: Mapping[str, Any], envs: Sequence[int]) -> np.ndarray:
         """Return one chunk for each environment, (B, H, 8), in DROID's own numbers; openpi writes tokens one by one."""
