@@ -35,7 +35,7 @@ CONVENTIONS = {
 
 CHUNK = 10
 TOOL = np.array([0.0, 0.0, 0.0965])
-"""Of the flange, m: the point between LIBERO's fingers. The hand is turned by -45 degrees about the flange's z axis."""
+"""Of the flange, m: the point between LIBERO's fingers. robot.xml turns the hand by about -45 degrees about z."""
 
 
 class Simulator:
@@ -99,7 +99,7 @@ def answers(config: dict[str, Any]) -> Any:
     processor.set_normalizer_from_stats(theirs.load_dataset_stats_from_json(str(statistics)))
     height, width = cfg.data.train.video_size
 
-    simulator, hand = Simulator(), Rotation.from_euler("z", -45, degrees=True)
+    simulator, hand = Simulator(), Rotation.from_quat([0.0, 0.0, -0.383, 0.924])
     commands: dict[tuple[int, int, int], Any] = {}
     """By environment, episode and observation, the last command after the inference on it."""
 

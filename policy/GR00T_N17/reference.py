@@ -32,7 +32,7 @@ CONVENTIONS = {
 }
 
 TOOL = np.array([0.0, 0.0, 0.0965])
-"""Of the flange, m: the point between LIBERO's fingers. The hand is turned by -45 degrees about the flange's z axis."""
+"""Of the flange, m: the point between LIBERO's fingers. robot.xml turns the hand by about -45 degrees about z."""
 
 
 class Simulator:
@@ -77,7 +77,7 @@ def answers(config: dict[str, Any]) -> Any:
     checkpoint = str(here / name if "/" in name else here / "checkpoints" / name)
     device = "cuda" if torch.cuda.is_available() else "cpu"
     policy = Gr00tSimPolicyWrapper(Gr00tPolicy(embodiment_tag="LIBERO_PANDA", model_path=checkpoint, device=device))
-    hand = Rotation.from_euler("z", -45, degrees=True)
+    hand = Rotation.from_quat([0.0, 0.0, -0.383, 0.924])
     commands: dict[tuple[int, int, int], Any] = {}
     """By environment, episode and observation, the last command after the inference on it."""
 
