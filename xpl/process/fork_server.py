@@ -10,7 +10,7 @@ connection (`xpl.process.link`):
     -> {"import": {"modules": [[name, file], ...], "variables": {name: value}}}
     -> {"run": module, "arguments": [...], "variables": {...}, "descriptors": n}    calls its `main`
     <- {"forks": true}                      or false: the process must be started in the usual way
-    -> one byte, with n + 2 descriptors: a socket, the output, and those that `main` gets after its arguments
+    -> one byte, with n + 3 descriptors: a socket, standard input, output, further arguments of `main`
     <- {"code": 0}                          once it has ended; a process has a connection of its own
 
 The process sends a byte over the socket, whose credentials tell the other end its process id, and is killed with all
@@ -41,7 +41,7 @@ from xpl.process.link import Channel, Head, decode
 START = "from xpl.process.fork_server import main; main(int(sys.argv[2]))"
 """Code that runs it, after `xpl.process.child.SDK_START`."""
 _TASKS = "/proc/self/task"
-_OWN_DESCRIPTORS = 2
+_OWN_DESCRIPTORS = 3
 _STARTED = time.time()
 
 
@@ -142,11 +142,12 @@ class _ForkServer:
         for one in (self._control, *self._connections):
             one.close()
         os.setsid()
-        life, output, *descriptors = received
+        life, stdin, output, *descriptors = received
         os.write(life, b"\0")
         _put_reaper_above(life)
-        for number in (1, 2):
-            os.dup2(output, number)
+        for number, received_as in enumerate((stdin, output, output)):
+            os.dup2(received_as, number)
+        os.close(stdin)
         os.close(output)
         os.environ.update(request["variables"])
         if "numpy" in sys.modules:  # as in a process that was started: nothing is seeded (`random` sees to it itself)
@@ -161,6 +162,7 @@ class _ForkServer:
 
 def _put_reaper_above(life: int) -> None:
     """Fork: the child goes on, and this process becomes its reaper."""
+    reaper.become_subreaper()  # kept by exec; the worker may start others and end before the reaper has started
     worker = os.fork()
     if worker:
         os.set_inheritable(life, True)  # noqa: FBT003 - positional only
@@ -177,7 +179,7 @@ def _import(modules: Iterable[tuple[str, str]], variables: Mapping[str, str]) ->
         variables: environment variables that were set when they were imported.
     """
     os.environ.update(variables)
-    # Asking the CUDA runtime whether there is a device starts threads. Source: docs.pytorch.org, CUDA environment variables.
+    # Asking the CUDA runtime whether there is a device starts threads. Source: PyTorch, CUDA environment variables.
     os.environ.setdefault("PYTORCH_NVML_BASED_CUDA_CHECK", "1")
     expected = dict(modules)
     adapter = os.getcwd() + os.sep  # noqa: PTH109 - compared as text

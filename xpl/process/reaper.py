@@ -33,7 +33,7 @@ def main(worker: int, link: int) -> NoReturn:
         signal.signal(number, signal.SIG_IGN)  # meant for the server, which ends this process in order
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
-    _become_subreaper()
+    become_subreaper()
     poll = select.poll()
     poll.register(link, 0)  # POLLHUP is always reported
     poll.register(wakes, select.POLLIN)
@@ -48,7 +48,7 @@ def main(worker: int, link: int) -> NoReturn:
     _end_as(status or 0)
 
 
-def _become_subreaper() -> None:
+def become_subreaper() -> None:
     """Become the parent of orphaned descendants; get SIGCONT when the server ends, should this process be stopped."""
     if sys.platform != "linux":
         return

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import IO, Any, Final, Self
 
 from xpl import _spec as sdk
 from xpl.process import spawn
@@ -23,11 +23,14 @@ from xpl.process.child import SDK_START
 from xpl.wire import packed
 from xpl.worker.subprocess_task import ERROR, LENGTH
 from xpl_cli.isolation import processes
+from xpl_cli.isolation.forks import Forked, ForkServer, run_forked
 from xpl_cli.isolation.hang_detector import HangDetector
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.isolation.stacks import STACKS_S, innermost_frame
 
 _EVERY_S: Final = 0.1
+_END_S: Final = 10.0
+"""Time for the reaper of a forked process to kill all that it started, s."""
 _MOST_BYTES: Final = 1 << 30
 """Largest total size of the answers of one task."""
 
@@ -43,6 +46,7 @@ class TaskSettings:
         patience: longest time without activity, s.
         limit_s: longest total time, s.
         on_answer: called with the number of answers whenever it has grown, or None.
+        forks: forks the process with the policy's libraries imported, in the same isolation, where that is possible.
     """
 
     python: str
@@ -51,6 +55,7 @@ class TaskSettings:
     patience: float = 30.0
     limit_s: float = 600.0
     on_answer: Callable[[int], None] | None = None
+    forks: ForkServer | None = None
 
 
 @dataclass(frozen=True)
@@ -108,19 +113,10 @@ def run(module: str, request: Mapping[str, object], settings: TaskSettings) -> T
         request: its input: maps, lists, texts, numbers and arrays.
         settings: how it runs.
     """
-    with _workspace(settings) as (prefix, folder, environment):
-        task = _TaskProcess(_command(module, request, settings, prefix, folder), settings, environment, folder / "log")
+    with _workspace(settings) as workspace:
+        task = _TaskProcess(module, request, settings, workspace)
         with task.running():
-            return task.wait_answers(folder / "answers", settings.limit_s)
-
-
-def _command(
-    module: str, request: Mapping[str, object], settings: TaskSettings, prefix: tuple[str, ...], folder: Path
-) -> list[str]:
-    """Write a request into a folder, and return the command that writes its answers there."""
-    (folder / "asked").write_bytes(b"".join(packed.encode(request)))
-    start = SDK_START + f"from {module} import main; main(*sys.argv[2:])"
-    return spawn.command(settings.python, start, str(folder / "asked"), str(folder / "answers"), prefix=prefix)
+            return task.wait_answers(workspace.folder / "answers", settings.limit_s)
 
 
 class PersistentTask:
@@ -138,9 +134,9 @@ class PersistentTask:
     def __init__(self, module: str, request: Mapping[str, object], settings: TaskSettings) -> None:
         self._settings, self._requests = settings, 0
         with contextlib.ExitStack() as opened:
-            prefix, self._folder, environment = opened.enter_context(_workspace(settings))
-            command = _command(module, request, settings, prefix, self._folder)
-            self._run = _TaskProcess(command, settings, environment, self._folder / "log")
+            workspace = opened.enter_context(_workspace(settings))
+            self._folder = workspace.folder
+            self._run = _TaskProcess(module, request, settings, workspace)
             opened.enter_context(self._run.running(subprocess.PIPE))
             self.loaded = self._run.wait_answers(self._folder / "answers", settings.limit_s)
             self._opened = opened.pop_all()
@@ -180,18 +176,26 @@ def _read_answers(path: Path) -> list[TaskAnswer]:
     return answers
 
 
+@dataclass(frozen=True)
+class _Workspace:
+    """Command prefix, writable folder and environment variables of a task, as for a server."""
+
+    prefix: tuple[str, ...]
+    folder: Path
+    environment: dict[str, str]
+
+
 @contextlib.contextmanager
-def _workspace(settings: TaskSettings) -> Iterator[tuple[tuple[str, ...], Path, dict[str, str]]]:
-    """Yield command prefix, writable folder and environment variables, as for a server."""
+def _workspace(settings: TaskSettings) -> Iterator[_Workspace]:
     environment = spawn.variables()
     with (
         settings.bounds.isolate_adapter(settings.checkout) as isolation,
         tempfile.TemporaryDirectory(prefix="xpl-") as folder,
     ):
         if isolation is None:
-            yield (), Path(folder), environment
+            yield _Workspace((), Path(folder), environment)
         else:
-            yield isolation.prefix, isolation.folder or Path(folder), isolation.environment(environment)
+            yield _Workspace(isolation.prefix, isolation.folder or Path(folder), isolation.environment(environment))
 
 
 def _count_answers(path: Path) -> tuple[int, bool]:
@@ -213,10 +217,15 @@ def _count_answers(path: Path) -> tuple[int, bool]:
 
 
 class _TaskProcess:
-    """A command in a process group of its own."""
+    """The process of a task, in a group of its own; its request is written at once."""
 
-    def __init__(self, command: list[str], settings: TaskSettings, environment: dict[str, str], log: Path) -> None:
-        self._command, self._settings, self._environment, self._log = command, settings, environment, log
+    def __init__(
+        self, module: str, request: Mapping[str, object], settings: TaskSettings, workspace: _Workspace
+    ) -> None:
+        self._module, self._settings, self._workspace = module, settings, workspace
+        self._log = workspace.folder / "log"
+        self._arguments = [str(workspace.folder / name) for name in ("asked", "answers")]
+        Path(self._arguments[0]).write_bytes(b"".join(packed.encode(request)))
 
     @contextlib.contextmanager
     def running(self, stdin: int = subprocess.DEVNULL) -> Iterator[None]:
@@ -225,25 +234,39 @@ class _TaskProcess:
         processes.adopt_orphans()
         # A file, not a pipe: a leftover process of the adapter would keep a pipe open.
         with self._log.open("wb") as output:
-            process = subprocess.Popen(
-                self._command,
-                cwd=self._settings.checkout,
-                stdin=stdin,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                env=self._environment,
-                start_new_session=True,
-            )
+            process = self._forked(output, stdin) or self._started(output, stdin)
         try:
             self._process = process
             yield
         finally:
+            if isinstance(process, Forked):
+                process.end()
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    process.wait(_END_S)
             spawn.end_group(process.pid)
             process.wait()
             if process.stdin is not None:
                 with contextlib.suppress(OSError):
                     process.stdin.close()
             processes.kill_adopted(before)
+
+    def _started(self, output: IO[bytes], stdin: int) -> subprocess.Popen[bytes]:
+        start = SDK_START + f"from {self._module} import main; main(*sys.argv[2:])"
+        return subprocess.Popen(
+            spawn.command(self._settings.python, start, *self._arguments, prefix=self._workspace.prefix),
+            cwd=self._settings.checkout,
+            stdin=stdin,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=self._workspace.environment,
+            start_new_session=True,
+        )
+
+    def _forked(self, output: IO[bytes], stdin: int) -> Forked | None:
+        forks = self._settings.forks
+        if forks is None or forks.folder is not None:  # a fully isolated one does not see this task's folder
+            return None
+        return run_forked(forks, self._module, self._arguments, output, stdin)
 
     def write_line(self, line: str) -> None:
         """Write a line to its standard input, if it still runs."""
@@ -291,9 +314,10 @@ class _TaskProcess:
             if why is not None:
                 return self._end_with_stacks(process, why)
 
-    def _end_with_stacks(self, process: subprocess.Popen[bytes], why: str) -> str:
+    def _end_with_stacks(self, process: subprocess.Popen[bytes] | Forked, why: str) -> str:
         """Have the process print its stacks, and return the reason with its innermost frame."""
-        inner = processes.launcher_chain(process.pid)[-1] if self._settings.bounds.flags else process.pid
+        above = 1 if isinstance(process, Forked) else processes.LAUNCHERS if self._settings.bounds.flags else 0
+        inner = processes.first_descendants(process.pid, above)[-1]
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.kill(inner, signal.SIGUSR1)
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -33,7 +33,7 @@ from xpl_cli.serving.secrets import read_token, server_tls_context
 from xpl_cli.serving.server_log import log
 from xpl_cli.serving.wires import extra_endpoints
 from xpl_cli.serving.workers import hang_watch
-from xpl_cli.serving.workers.forked import ForkServerConnection
+from xpl_cli.serving.workers.forked import WorkerForks
 from xpl_cli.serving.workers.process import WorkerProcess
 from xpl_cli.serving.workers.worker import ModelLoadError
 
@@ -124,7 +124,7 @@ def run_server(package: Package, overrides: Config, options: ServeOptions) -> No
         raise
     with _open_trace(options.trace) as trace, options.bounds.isolate_adapter(package.path) as isolation:
         observer = RequestMonitor(metrics=options.metrics, trace=trace) if options.metrics or trace else None
-        forks = ForkServerConnection.inherited()
+        forks = WorkerForks.inherited()
         run = _ServerRun(package, config, settings, options, python, observer, isolation, endpoints, forks)
         reason = asyncio.run(_serve(run))
     if reason is not None:
@@ -224,7 +224,7 @@ class _ServerRun:
     monitor: RequestMonitor | None
     isolation: Isolation | None
     endpoints: Mapping[str, Endpoint]
-    forks: ForkServerConnection | None
+    forks: WorkerForks | None
 
 
 async def _serve(run: _ServerRun) -> str | None:
@@ -326,7 +326,7 @@ async def _until_ended(
     return None
 
 
-async def _preload(forks: ForkServerConnection, front_end: FrontEnd) -> None:
+async def _preload(forks: WorkerForks, front_end: FrontEnd) -> None:
     """Have the fork server import what a worker that was not forked has imported."""
     (worker,) = front_end.workers.values()
     if not worker.process.is_forked:

@@ -79,6 +79,7 @@ def process_options(probe: Probe, limit_s: float = LIMIT_S) -> subprocess_task.T
         bounds=options.bounds,
         patience=options.patience,
         limit_s=min(limit_s, options.time_limit.remaining),
+        forks=probe.forks(probe.options.overrides),
     )
 
 

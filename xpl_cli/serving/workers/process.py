@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from xpl.wire.arrays import Data
     from xpl_cli.isolation.sandbox import Isolation
-    from xpl_cli.serving.workers.forked import ForkServerConnection
+    from xpl_cli.serving.workers.forked import WorkerForks
 
     Answered = Callable[[link.Head, list[memoryview]], None]
 
@@ -87,7 +87,7 @@ class WorkerProcess:
         gpu: str | None = None,
         label: str = "",
         isolation: Isolation | None = None,
-        forks: ForkServerConnection | None = None,
+        forks: WorkerForks | None = None,
     ) -> WorkerProcess:
         """Start a worker in the interpreter `python`; it loads nothing yet.
 
