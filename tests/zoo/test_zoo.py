@@ -203,7 +203,7 @@ def test_the_list_is_filtered() -> None:
     kinds = _answer("zoo", "--family", "diffusion")["policies"]
     assert {"DP", "H_RDT", "Multi_Task_DiT", "RDT_1B"} == {one["name"] for one in kinds}
     robots = _answer("zoo", "list", "--robot", "arx_x5", "--level", "1")["policies"]
-    assert "ACT" in {one["name"] for one in robots}
+    assert "A1" in {one["name"] for one in robots}
     assert all(one["level"] >= 1 and "arx_x5" in one["facts"]["robots"]["value"] for one in robots)
     assert "no policy fits" in xpl("zoo", "--level", "4", "--family", "reference").stdout
 
@@ -226,11 +226,11 @@ def test_proving_tells_what_lacks(tmp_path: Path) -> None:
 
 
 def test_a_proof_of_other_robots_is_no_guess(copied: Path) -> None:
-    policy = policies.find("ACT")
+    policy = policies.find("A1")
     assert policy.facts["robots"].value == ["arx_x5"]
     assert (policy.facts["robots"].source or "").startswith("manifest, ")
-    (copied / "proofs" / "ACT.json").unlink()
+    (copied / "proofs" / "A1.json").unlink()
     policies.policies.cache_clear()
-    assert policies.find("ACT").facts["robots"].value is None
-    assert policies.find("ACT").next == "not run here yet"
+    assert policies.find("A1").facts["robots"].value is None
+    assert policies.find("A1").next == "not run here yet"
     assert replace(policy, proof=None).level.number == 0
