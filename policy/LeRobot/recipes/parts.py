@@ -45,7 +45,7 @@ def image_statistics(cameras: Iterable[str]) -> dict[str, dict[str, Any]]:
     return {name: {rule: values.view(3, 1, 1) for rule, values in image.items()} for name in cameras}
 
 
-def moments(centre: Any, spread: float) -> dict[str, Any]:
+def moments(centre: Any, spread: Any) -> dict[str, Any]:
     """Return the statistics of numbers around a centre for every rule of normalization."""
     low, high = centre - 2 * spread, centre + 2 * spread
     quantiles = {"q01": low, "q10": low, "q50": centre, "q90": high, "q99": high}

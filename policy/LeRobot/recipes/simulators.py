@@ -23,7 +23,7 @@ class Data:
     cameras: dict[str, tuple[int, int]]
     state: tuple[float, ...]
     action: tuple[float, ...]
-    state_spread: float
+    state_spread: float | tuple[float, ...]
     action_spread: float
 
     def features(self) -> dict[str, Any]:
@@ -45,7 +45,7 @@ class Data:
         import torch
 
         return {
-            "observation.state": parts.moments(torch.tensor(self.state), self.state_spread),
+            "observation.state": parts.moments(torch.tensor(self.state), torch.tensor(self.state_spread)),
             "action": parts.moments(torch.tensor(self.action), self.action_spread),
             **parts.image_statistics(self.cameras),
         }
@@ -61,6 +61,14 @@ VARIANTS = {
         action=(*_VX300S, 0.1, *_VX300S, 0.1),
         state_spread=0.1,
         action_spread=0.02,
+    ),
+    "libero_smolvla": Data(
+        recipe="smolvla",
+        cameras={"observation.images.image": (256, 256), "observation.images.image2": (256, 256)},
+        state=(-0.1, 0.0, 1.1, 3.0, 0.0, -0.1, 0.03, -0.03),
+        action=(0.0,) * 7,
+        state_spread=(*(0.2,) * 6, 0.02, 0.02),
+        action_spread=0.3,
     ),
 }
 """By variant of policy.yml."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from .parts import byte_vocabulary, enliven, features, offer, statistics
+from .simulators import VARIANTS
 
 VLM = "HuggingFaceTB/SmolVLM2-500M-Video-Instruct"
 SPECIAL = ("<|endoftext|>", "<pad>", "<image>", "<fake_token_around_image>", "<global-img>", "<end_of_utterance>")
@@ -23,8 +24,9 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     from xpl.training import tiny_lerobot
 
     offer(folder, VLM, *_vlm())
+    data = VARIANTS.get(config.get("variant") or "")
     settings = SmolVLAConfig(
-        **features(),
+        **(data.features() if data else features()),
         vlm_model_name=VLM,
         resize_imgs_with_padding=(64, 64),
         num_vlm_layers=2,
@@ -45,7 +47,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
             layer.self_attn.v_proj.weight[:, :OWN] *= 4 * gain("state")
         vlm.connector.modality_projection.proj.weight *= gain("cam_head") * gain("cam_wrist")
         vlm.text_model.embed_tokens.weight *= gain("instruction")
-    tiny_lerobot.save(folder, policy, statistics())
+    tiny_lerobot.save(folder, policy, data.statistics() if data else statistics())
 
 
 def _vlm() -> tuple[Any, Any]:
