@@ -2,25 +2,31 @@
 
 A package with `authors_loop.py` runs the evaluation that its authors publish, from their pinned source. This script
 runs it and `xpl eval` from the same seed, with the same tiny random checkpoint, and records in both what passes the
-simulator's own `step` and the function through which the model is asked. The first difference names its cause: an
+simulator's own `step` and the functions through which the model is asked. The first difference names its cause: an
 observation of the simulator, an input of the model, its result, or what becomes of that.
 
-    python benchmarks/authors_loops.py --only LeRobot/aloha_act --policy-python PYTHON --eval-env venv:DIR
+The authors' loop runs in the policy's Python (`xpl install policy/NAME`), with the simulator's packages behind it.
+These are made for the same minor version of Python, in a folder that `--simulators` or XPL_SIMULATORS names:
 
-The authors' loop runs in the policy's Python, with the packages of the environment's behind it: both need the same
-minor version of Python.
+    uv venv --python 3.12 DIR/libero-312
+    uv pip install --python DIR/libero-312/bin/python --no-deps -r envs/libero/libero.lock.txt
+
+What is not installed is `not run`, with the reason.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import importlib.util
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,7 +34,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.authors_loops_bench.comparison import Reading, Recording, Verdict, compare
-from xpl.manifest import PythonEnvironment
+from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.lifecycle import interpreter
 from xpl_cli.packages.package import load
 
@@ -51,8 +57,13 @@ SIMULATORS = {
 READINGS = {"metaworld": Reading(largest=1.0), "libero": Reading(largest=1.0, signs=(-1,))}
 """What simulators make of a command before they use it, by environment."""
 LIMIT_S = 3600.0
+POLL_S = 0.5
 VARIABLE = "AUTHORS_LOOPS_TAPS"
 """Read by `tap/sitecustomize.py`."""
+
+
+class LoopError(Exception):
+    """A loop ended before its steps were executed; the message has its last lines."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +72,7 @@ class Loop:
 
     Attributes:
         package: folder of the policy.
-        name: of the loop, which is the variant of policy.yml unless `facts` has another one.
+        name: of the loop.
         facts: its entry of LOOPS.
     """
 
@@ -74,6 +85,12 @@ class Loop:
         return f"{self.package.name}/{self.name}"
 
     @property
+    def variant(self) -> str | None:
+        """The variant of policy.yml; None for none."""
+        name: str | None = self.facts.get("variant", self.name)
+        return name
+
+    @property
     def taps(self) -> dict[str, str]:
         """The recorded functions by name."""
         return {**SIMULATORS[self.facts["environment"]], **self.facts["model"]}
@@ -84,25 +101,24 @@ class Options:
     """How a loop is run.
 
     Attributes:
-        checkpoint: folder of the tiny checkpoint.
         steps: of the simulator, those that wait for objects to settle included.
         seed: of the episode.
-        policy_python: the policy's interpreter.
-        eval_env: the environment's, as `xpl eval --eval-env` takes it.
-        folder: for the recordings.
+        folder: for the recordings and the checkpoint; what it has of the authors' loop is not run again.
+        simulators: folder of virtual environments, such as `libero-312`.
         our_policy, our_env: packages that `xpl eval` runs in place of the loop's, such as copies with a mistake.
-        behind: packages of the simulator for the policy's Python; those of the environment's Python by default.
     """
 
-    checkpoint: Path
     steps: int
     seed: int
-    policy_python: str
-    eval_env: str
     folder: Path
+    simulators: Path
     our_policy: Path | None = None
-    our_env: str | None = None
-    behind: Path | None = None
+    our_env: Path | None = None
+
+    @property
+    def checkpoint(self) -> Path:
+        """Folder of the tiny checkpoint."""
+        return self.folder / "checkpoint"
 
 
 def loops(root: Path = ROOT / "policy") -> list[Loop]:
@@ -119,109 +135,146 @@ def loops(root: Path = ROOT / "policy") -> list[Loop]:
 
 
 def run(loop: Loop, options: Options) -> Verdict:
-    """Run both loops and compare them."""
+    """Run both loops and compare them.
+
+    Raises:
+        UserError: something is not installed.
+        LoopError: a loop ended early.
+    """
+    python = interpreter.resolve(loop.package, load(loop.package).manifest.environment)
+    simulator = simulator_of(loop, python, options.simulators)
     theirs, ours = options.folder / "theirs", options.folder / "ours"
-    if not theirs.exists():  # kept by `--keep`
-        run_theirs(loop, options, theirs)
+    if not options.checkpoint.exists():
+        command = [sys.executable, "-m", "xpl_cli", "checkpoint", "tiny", str(loop.package)]
+        command += ["--out", str(options.checkpoint), *sets(loop)]
+        _finish(command)
+    if _executed(theirs) < options.steps:
+        shutil.rmtree(theirs, ignore_errors=True)
+        _run(play(loop, options, python, simulator), loop, options, theirs, options.folder)
     shutil.rmtree(ours, ignore_errors=True)
-    run_ours(loop, options, ours)
+    _run(evaluate(loop, options, simulator), loop, options, ours, ROOT)
     reading, left_out = READINGS.get(loop.facts["environment"], Reading()), loop.facts.get("left_out", ())
     recordings = (Recording.of(each, reading, left_out) for each in (theirs, ours))
     return compare(*recordings, loop.facts.get("tolerance", 0.0))
 
 
-def run_theirs(loop: Loop, options: Options, folder: Path) -> None:
-    """Run the authors' loop in the policy's Python."""
+def simulator_of(loop: Loop, python: str, folder: Path) -> Path:
+    """Return the virtual environment of the simulator for the minor version of the policy's Python.
+
+    Raises:
+        UserError: there is none.
+    """
+    version = _finish([python, "-c", "import sys; print(*sys.version_info[:2], sep='')"])
+    found = folder / f"{loop.facts['environment']}-{version}"
+    if not (found / "bin" / "python").exists():
+        raise UserError(f"there is no {found}, the simulator's packages for the policy's Python", code=ExitCode.NOT_RUN)
+    return found.resolve()
+
+
+def play(loop: Loop, options: Options, python: str, simulator: Path) -> list[str]:
+    """Return the command of the authors' loop."""
+    where = "import sysconfig; print(sysconfig.get_path('purelib'))"
+    package = load(loop.package, {"variant": loop.variant} if loop.variant else {})
     request = {
         "loop": loop.name,
-        "config": config_of(loop, options),
+        "config": {**package.deploy, "ckpt_name": str(options.checkpoint)},
+        "environment": package.manifest.data.get("environment"),
         "seed": options.seed,
         "entropy": [0, 0, 0],  # of `Policy.rng` in the first episode: seed of the run, episode, environment
-        "behind": [str(options.behind or _packages(options.eval_env)), str(ROOT)],
+        "behind": [_finish([str(simulator / "bin" / "python"), "-c", where]), str(ROOT)],
     }
-    command = [options.policy_python, str(PLAY), str(loop.package), json.dumps(request)]
-    _run(command, loop, options, folder, options.folder)
+    return [python, str(PLAY), str(loop.package), json.dumps(request)]
 
 
-def run_ours(loop: Loop, options: Options, folder: Path) -> None:
-    """Run `xpl eval`, whose processes inherit the taps; it ends early, as the taps end it."""
-    command = [sys.executable, "-m", "xpl_cli", "eval", str(options.our_policy or loop.package)]
-    command += ["--env", options.our_env or loop.facts["environment"]]
+def evaluate(loop: Loop, options: Options, simulator: Path) -> list[str]:
+    """Return the command of `xpl eval`, whose processes inherit the taps."""
+    environment = loop.facts["environment"] if options.our_env is None else str(options.our_env)
+    command = [sys.executable, "-m", "xpl_cli", "eval", str(options.our_policy or loop.package), "--env", environment]
     command += ["--task", loop.facts["task"], "--setting", loop.facts["setting"], "--seed", str(options.seed)]
-    command += ["--python", options.policy_python, "--eval-env", options.eval_env]
-    for word in (f"ckpt_name={options.checkpoint}", *variant(loop)):
-        command += ["--set", word]
-    _run(command, loop, options, folder, ROOT)
+    command += ["--eval-env", f"venv:{simulator}"]
+    command += ["--python", interpreter.resolve(loop.package, load(loop.package).manifest.environment)]
+    return [*command, "--set", f"ckpt_name={options.checkpoint}", *sets(loop)]
 
 
-def variant(loop: Loop) -> list[str]:
-    """Return the `--set` that chooses the variant of a loop."""
-    name = loop.facts.get("variant", loop.name)
-    return [f"variant={name}"] if name else []
+def sets(loop: Loop) -> list[str]:
+    """Return the options that choose the variant of a loop."""
+    return ["--set", f"variant={loop.variant}"] if loop.variant else []
 
 
-def config_of(loop: Loop, options: Options) -> dict[str, Any]:
-    """Return deploy.yml after overrides."""
-    package = load(loop.package, dict(word.split("=", 1) for word in variant(loop)))
-    return {**package.deploy, "ckpt_name": str(options.checkpoint)}
+def _finish(command: list[str]) -> str:
+    """Run a command and return what it prints.
+
+    Raises:
+        LoopError: it failed.
+    """
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise LoopError(f"{command[0]} ended with {done.returncode}: {done.stderr.strip()}")
+    return done.stdout.strip()
 
 
 def _run(command: list[str], loop: Loop, options: Options, folder: Path, cwd: Path) -> None:
-    """Run a command with the taps, which end it by an error."""
+    """Run a command with the taps until it ends, or has executed the steps.
+
+    Raises:
+        LoopError: it ended before.
+    """
     folder.mkdir(parents=True)
     taps = {"folder": str(folder), "taps": loop.taps, "steps": options.steps}
     paths = os.pathsep.join(filter(None, (str(TAP), os.environ.get("PYTHONPATH"))))
-    log = folder.with_suffix(".log")
-    with log.open("wb") as output:
-        ours = {VARIABLE: json.dumps(taps), "PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"}
-        variables = {"MUJOCO_GL": "egl", "OMP_NUM_THREADS": "1", **os.environ, **ours}
-        done = subprocess.run(
-            command, cwd=cwd, env=variables, stdout=output, stderr=subprocess.STDOUT, check=False, timeout=LIMIT_S
-        )
-    steps = len(list(folder.glob("*-step.npz")))
-    if steps < options.steps and (done.returncode or not steps):
-        last = log.read_text(errors="replace").splitlines()[-12:]
-        raise RuntimeError(f"{command[0]} ended with {done.returncode} after {steps} steps:\n" + "\n".join(last))
+    ours = {VARIABLE: json.dumps(taps), "PYTHONPATH": paths, "PYTHONUNBUFFERED": "1"}
+    variables = {"MUJOCO_GL": "egl", "OMP_NUM_THREADS": "1", **os.environ, **ours}
+    log, end = folder.with_suffix(".log"), time.monotonic() + LIMIT_S
+    with (
+        log.open("wb") as output,
+        subprocess.Popen(
+            command, cwd=cwd, env=variables, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+        ) as process,
+    ):
+        try:
+            while process.poll() is None and _executed(folder) < options.steps and time.monotonic() < end:
+                time.sleep(POLL_S)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGTERM)
+    if _executed(folder) < options.steps:
+        last = "\n".join(log.read_text(errors="replace").splitlines()[-12:])
+        raise LoopError(f"{command[0]} ended with {process.returncode} after {_executed(folder)} steps:\n{last}")
 
 
-def _packages(eval_env: str) -> str:
-    """Return the folder of the packages of the environment's Python."""
-    python = interpreter.resolve(ROOT, PythonEnvironment(), env=eval_env)
-    command = [python, "-c", "import sysconfig; print(sysconfig.get_path('purelib'))"]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+def _executed(folder: Path) -> int:
+    """Return the number of steps that are recorded."""
+    return len(list(folder.glob("*-step.npz")))
 
 
 def main() -> int:
     """Run loops and print a table; 1 if commands differ."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", required=True, help="a loop, such as LeRobot/aloha_act")
-    parser.add_argument("--checkpoint", type=Path, required=True, help="of `xpl checkpoint tiny`")
-    parser.add_argument("--policy-python", required=True, help="the policy's interpreter")
-    parser.add_argument("--eval-env", required=True, help="the environment's, as of xpl eval: venv:DIR")
-    parser.add_argument("--steps", type=int, default=60, help="of the simulator")
+    parser.add_argument("--only", help="a loop, such as LeRobot/aloha_act")
+    parser.add_argument("--steps", type=int, default=40, help="of the simulator")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--simulators", type=Path, default=os.environ.get("XPL_SIMULATORS", ROOT / ".peers"))
     parser.add_argument("--our-policy", type=Path, help="a changed copy of the package, for a planted mistake")
-    parser.add_argument("--our-env", help="of the environment package, likewise")
-    parser.add_argument("--behind", type=Path, help="site-packages of the simulator for the policy's Python")
+    parser.add_argument("--our-env", type=Path, help="of the environment package, likewise")
     parser.add_argument("--keep", type=Path, help="folder for the recordings, which are deleted otherwise")
     options = parser.parse_args()
-    loop = next(each for each in loops() if str(each) == options.only)
+    verdicts = []
     with tempfile.TemporaryDirectory() as scratch:
-        folder = Path(scratch) if options.keep is None else options.keep
-        chosen = Options(
-            options.checkpoint.resolve(),
-            options.steps,
-            options.seed,
-            options.policy_python,
-            options.eval_env,
-            folder.resolve(),
-            options.our_policy,
-            options.our_env,
-            options.behind,
-        )
-        verdict = run(loop, chosen)
-    print(f"{loop}, seed {options.seed}: {verdict}")
-    return 0 if verdict.agree else 1
+        for loop in loops():
+            if options.only not in (None, str(loop)):
+                continue
+            folder = (options.keep or Path(scratch)).resolve() / loop.package.name / loop.name
+            folder.mkdir(parents=True, exist_ok=True)
+            plan = Options(
+                options.steps, options.seed, folder, Path(options.simulators), options.our_policy, options.our_env
+            )
+            try:
+                verdicts.append(run(loop, plan))
+            except UserError as error:
+                print(f"{loop!s:<36} not run: {error}", flush=True)
+            else:
+                print(f"{loop!s:<36} {verdicts[-1]}", flush=True)
+    return 0 if all(each.agree for each in verdicts) else 1
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 Values = dict[str, np.ndarray]
 STEP, RESETS = "step", ("reset", "place")
 """Taps of the simulator: each control step, and what begins an episode."""
+NOTHING = "no value of one name and shape"
 COMMANDS, SHOWN = "command", "observation of the simulator"
 
 
@@ -156,7 +157,7 @@ def _difference(theirs: Sequence[Values], ours: Sequence[Values], tolerance: flo
     exact: int | None = None
     spans = _spans(theirs)
     for at, (one, other) in enumerate(zip(theirs, ours, strict=False)):
-        worst, key = max(_shares(one, other, spans), default=(0.0, ""))
+        worst, key = max(_shares(one, other, spans), default=(0.0 if one.keys() == other.keys() else np.inf, NOTHING))
         if exact is None and worst:
             exact, name = at, key
         if first is None and worst > tolerance:

@@ -1,8 +1,9 @@
 """Runs the authors' loop of a package in the policy's Python: `play.py PACKAGE REQUEST`.
 
-The request is JSON: `loop` (its name in LOOPS of authors_loop.py), `config` (deploy.yml after overrides), `seed` of the
-episode, `entropy` of the noise, and `behind`: folders of packages that are found after the policy's own, which are the
-simulator's and the SDK's. As reference.py, authors_loop.py may import neither the SDK nor the adapter.
+The request is JSON: `loop` (its name in LOOPS of authors_loop.py), `config` (deploy.yml after overrides), `environment`
+of policy.yml, `seed` of the episode, `entropy` of the noise, and `behind`: folders of packages that are found after the
+policy's own, which are the simulator's and the SDK's. As reference.py, authors_loop.py may import neither the SDK nor
+the adapter.
 """
 
 from __future__ import annotations
@@ -23,8 +24,10 @@ def main() -> None:
     import numpy as np
     from sitecustomize import EndOfTrial
 
+    from xpl import variables
     from xpl.worker import reference
 
+    variables.set_declared(package, request["config"], request["environment"])
     _, evaluate = reference.load(package, "authors_loop.py", "evaluation", request["config"])
     rng = np.random.default_rng(request["entropy"])
     with contextlib.suppress(EndOfTrial):
