@@ -23,7 +23,7 @@ CONFIG: dict[str, Any] = {
     "paligemma_variant": "tiny",
     "dtype": "float32",  # bfloat16 rounds the logits of a class to equal ones
 }
-ROWS, CHOICES = CONFIG["action_horizon"], 8  # one FAST token is one row of a chunk's coefficients
+ROWS, CHOICES = CONFIG["action_horizon"], 32  # one FAST token is one row of a chunk's coefficients
 SKIPPED = 128  # last tokens of the vocabulary, which no action has
 LINE_END, ACTION, END = 4, 5, 6  # tokens: "\n", "Action: ", "|"
 EOS = 1
@@ -54,7 +54,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     weights |= {f"PaliGemma/llm/{name}": values for name, values in language(words, gain).items()}
     head = np.random.default_rng(1).normal(size=weights["PaliGemma/img/head/kernel"].shape)
     head[:, : IMAGES + 1] = 0
-    weights["PaliGemma/img/head/kernel"] = head * gain("cam_head") * gain("cam_wrist")
+    weights["PaliGemma/img/head/kernel"] = 2 * head * gain("cam_head") * gain("cam_wrist")
     weights["PaliGemma/img/head/bias"][IMAGES] = 8
     tree = flax.traverse_util.unflatten_dict({k: np.asarray(v, np.float32) for k, v in weights.items()}, sep="/")
     with ocp.PyTreeCheckpointer() as saver:
@@ -95,7 +95,7 @@ def language(words: Any, gain: Callable[[str], float]) -> dict[str, np.ndarray]:
     query[..., content, :], key_value[..., content, :] = random(1, HEADS, 47, SIZE) / 7, random(1, 2, 1, 47, SIZE) / 7
     query[..., SLOW] = key_value[:, 0, ..., SLOW] = 0
     query[:, :, :TEXT, SLOW] = 1
-    for channel, weight in ((TEXT, 8 * gain("instruction")), (DIGITS, 64 * gain("state"))):
+    for channel, weight in ((TEXT, 16 * gain("instruction")), (DIGITS, 64 * gain("state"))):
         key_value[:, 0, :, channel, SLOW] = np.log(weight) / 4
     output = np.zeros((1, HEADS, SIZE, WIDTH))
     output[..., content] = random(1, HEADS, SIZE, 47) * 4
