@@ -116,8 +116,12 @@ class Verdict:
 
     @property
     def agree(self) -> bool:
-        """Whether the same commands reached the simulator."""
-        return self.commands.compared > 0 and self.commands.first is None
+        """Whether the same commands reached the simulator, and the first inference read and answered the same.
+
+        A later one sees what the rounding of earlier commands has made of the scene.
+        """
+        is_same_first = all(each.first != 0 for name, each in self.differences.items() if name != COMMANDS)
+        return self.commands.compared > 0 and self.commands.first is None and is_same_first
 
     def __str__(self) -> str:
         """Return one line for the commands, and one for each sequence that differs."""
@@ -127,6 +131,8 @@ class Verdict:
             head = f"{compared}: equal to the last digit"
         elif self.agree:
             head = f"{compared}: equal to {self.commands.largest:.2g} of a command's range"
+        elif self.commands.first is None:
+            head = f"{compared}: equal to {self.commands.largest:.2g} of a command's range, but not from the beginning"
         else:
             head = (
                 f"{compared}: step {self.commands.first} differs by more than {self.tolerance:g} of a command's range"

@@ -31,11 +31,11 @@ _LIBERO: dict[str, Any] = {
     "left_out": ["obs/observation/state", "data/state", "policy_timing"],  # no input of pi05_libero, as README.md says
     "tolerance": 0.01,  # poses are float32: 1e-6 of a delta, by which some pixels differ after the first chunk
 }
-LOOPS = {"libero": _LIBERO, "libero_seed_7": _LIBERO}
+LOOPS = {"libero": _LIBERO, "libero_seed_7": {**_LIBERO, "differs": "observation of the simulator"}}
 """What `xpl eval` runs, and functions through which both loops ask the model.
 
-`libero_seed_7` has the seed of openpi's example, by which LIBERO places fixtures; `libero` has 0, as the environment
-package.
+`libero_seed_7` has the seed of openpi's example, by which LIBERO places fixtures, so that it shows another scene;
+`libero` has 0, as the environment package.
 """
 
 
