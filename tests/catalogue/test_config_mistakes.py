@@ -146,3 +146,15 @@ def test_a_block_that_does_not_fit_is_an_error() -> None:
     case = CASES["two arms, joint deltas"]
     with pytest.raises(ConversionError, match="no arm 'left'"):
         list(in_block(catalogue.AdapterCase(get_embodiment("franka_single"), "joint", case.model_io)))
+
+
+@pytest.mark.parametrize(
+    "step", [{"resize": {"to": [96, 96], "filter": "bilinear"}}, {"letterbox": {"to": [96, 96], "filter": "area"}}]
+)
+def test_a_model_may_resize_images_itself(step: dict[str, Any]) -> None:
+    """Then a block that does it as well is explained by one that does not."""
+    case = next(case for case in CASES.values() if case.model_io.get("images"))
+    first, *others = case.model_io["images"]
+    block = {**case.model_io, "images": [{**first, "steps": [step]}, *others]}
+    words = {one.description for one, changed in _all(case, block) if "steps" not in changed["images"][0]}
+    assert any(f"no {word}" in text for text in words for word in step), words

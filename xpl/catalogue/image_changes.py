@@ -100,12 +100,12 @@ def sites(block: Block) -> list[Site]:
 
 
 def change_steps(change: StepsChange) -> EntryChange:
-    """Return the change of an image input's steps by `change`, if its size stays."""
+    """Return the change of an image input's steps by `change`, if its size stays or the model gets the camera's own."""
 
     def of(entry: Block) -> Block | None:
         steps: Steps = list(entry.get("steps", ()))
         changed = change(steps)
-        if changed is None or changed == steps or _size(steps) != _size(changed):
+        if changed is None or changed == steps or (changed and _size(steps) != _size(changed)):
             return None
         return {"steps": changed or REMOVE}
 

@@ -124,7 +124,8 @@ def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
     for rank, box in BOXES:
         change = change_steps(_replace_step("resize", "letterbox", box))
         yield from mistakes_at_sites(sites, 1 + rank, f"letterbox instead of resize{_format_box(box)}", _NAME, change)
-    yield from mistakes_at_sites(sites, 1, "no crop", _NAME, change_steps(remove_steps("crop")))
+    for word in ("crop", "resize", "letterbox"):  # which the model does itself
+        yield from mistakes_at_sites(sites, 1, f"no {word}", _NAME, change_steps(remove_steps(word)))
     for fraction in FRACTIONS:
         crop = {"crop": {"fraction": fraction}}
         label = f"crop: {{fraction: {fraction:.6g}}}"
