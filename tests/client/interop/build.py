@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
+
+from xpl_cli.basics.errors import UserError
+from xpl_cli.lifecycle.python_env import pythons
 
 LOCKS = Path(__file__).resolve().parent
 ROOT = LOCKS.parents[2]
@@ -22,8 +26,9 @@ BENCHMARKS = tuple(
 )
 """Environment packages over the code of others, each with a lock of its own."""
 TESTS = ROOT / "tests"
-ALL_LOCKS = (LOCKS, TESTS / "environments" / "gymnasium", TESTS / "evaluation" / "cluster", *BENCHMARKS)
-"""Peers of the wire, simulators that live in a Python of their own, and the tool itself with Ray."""
+AUTHORS_CODE = TESTS / "authors_code"
+ALL_LOCKS = (LOCKS, TESTS / "environments" / "gymnasium", TESTS / "evaluation" / "cluster", AUTHORS_CODE, *BENCHMARKS)
+"""Peers of the wire, simulators that live in a Python of their own, the tool itself with Ray, and policies."""
 PEERS = ROOT / ".peers"
 SUFFIX = ".lock.txt"
 NAMES = tuple(sorted(lock.name.removesuffix(SUFFIX) for lock in LOCKS.glob(f"*{SUFFIX}")))
@@ -88,20 +93,36 @@ def _tell(sentence: str) -> None:
 
 
 def _source(lock: Path) -> str:
-    return f"{sys.version}\n{sys.base_prefix}\n{lock.read_text(encoding='utf-8')}"
+    texts = [lock.read_text(encoding="utf-8")]
+    texts += [(lock.parent / name).read_text(encoding="utf-8") for name in re.findall(r"(?m)^-r (\S+)$", texts[0])]
+    return "\n".join((sys.version, sys.base_prefix, *texts))
+
+
+def _python(lock: Path) -> str:
+    """Return the interpreter that a lock names in its first line, or else this one.
+
+    Raises:
+        NotBuiltError: if there is none.
+    """
+    named = re.match(r"# Python (\S+)\n", lock.read_text(encoding="utf-8"))
+    try:
+        return pythons.find(None if named is None else named[1])
+    except UserError as error:
+        raise NotBuiltError(str(error)) from None
 
 
 def _commands(folder: Path, lock: Path) -> list[list[str]]:
+    base = _python(lock)
     # Wheels only: a compiler is no part of what is tested. No look at dependencies: the lock has all of them.
     what = ["--quiet", "--no-deps", "--only-binary", ":all:", "-r", str(lock)]
     python = str(folder / "bin" / "python")
     if uv := shutil.which("uv"):
         return [
-            [uv, "venv", "--quiet", "--no-project", "--python", sys.executable, str(folder)],
+            [uv, "venv", "--quiet", "--no-project", "--python", base, str(folder)],
             [uv, "pip", "install", "--python", python, *what],
         ]
     return [
-        [sys.executable, "-m", "venv", "--without-pip", str(folder)],
+        [base, "-m", "venv", "--without-pip", str(folder)],
         [
             sys.executable,
             "-m",
