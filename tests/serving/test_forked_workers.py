@@ -14,7 +14,7 @@ from tests.support.peer import wait_until
 from xpl import Client
 from xpl.client import PolicyServerError
 from xpl_cli.isolation import processes
-from xpl_cli.isolation.forks import ForkServer
+from xpl_cli.isolation.forks import AdapterForkServer
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.isolation.subprocess_task import TaskSettings, run
 from xpl_cli.packages.package import load
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     WriteAdapter = Callable[..., Path]
 
-pytestmark = pytest.mark.skipif(not ForkServer.is_possible(), reason="workers are forked on Linux only")
+pytestmark = pytest.mark.skipif(not AdapterForkServer.is_possible(), reason="workers are forked on Linux only")
 
 TELLS = """
     {head}
@@ -70,11 +70,11 @@ def bounds(tmp_path_factory: pytest.TempPathFactory) -> IsolationSettings:
 @pytest.fixture
 def serve(write_adapter: WriteAdapter, bounds: IsolationSettings) -> Iterator[Callable[..., dict[str, Any]]]:
     """Serve an adapter once more from one fork server, and return its answer, with the server's log."""
-    servers: dict[Path, ForkServer] = {}
+    servers: dict[Path, AdapterForkServer] = {}
 
     def once(adapter: Path, **overrides: object) -> dict[str, Any]:
         if adapter not in servers:
-            servers[adapter] = ForkServer(sys.executable, adapter, bounds)
+            servers[adapter] = AdapterForkServer(sys.executable, adapter, bounds)
         with running_server(adapter, overrides, options=bounds.flags, forks=servers[adapter]) as server:
             with Client(server.url) as client:
                 answer: dict[str, Any] = client.infer({})
@@ -132,7 +132,7 @@ def test_workers_are_started_where_a_fork_would_differ(
 
 def test_the_end_of_a_forked_worker_is_told(write_adapter: WriteAdapter, bounds: IsolationSettings) -> None:
     adapter = _adapter(write_adapter)
-    forks = ForkServer(sys.executable, adapter, bounds)
+    forks = AdapterForkServer(sys.executable, adapter, bounds)
     with running_server(adapter, options=bounds.flags, forks=forks):
         pass
     with (
@@ -147,7 +147,7 @@ def test_the_end_of_a_forked_worker_is_told(write_adapter: WriteAdapter, bounds:
 def test_a_killed_server_leaves_no_forked_worker(write_adapter: WriteAdapter, bounds: IsolationSettings) -> None:
     """Nor does the end of the fork server."""
     adapter = _adapter(write_adapter)
-    forks = ForkServer(sys.executable, adapter, bounds)
+    forks = AdapterForkServer(sys.executable, adapter, bounds)
     with running_server(adapter, options=bounds.flags, forks=forks):
         pass
     with running_server(adapter, options=bounds.flags, forks=forks) as server:
@@ -163,7 +163,7 @@ def test_a_server_whose_fork_server_is_gone_starts_its_worker(
     write_adapter: WriteAdapter, bounds: IsolationSettings
 ) -> None:
     adapter = _adapter(write_adapter)
-    forks = ForkServer(sys.executable, adapter, bounds)
+    forks = AdapterForkServer(sys.executable, adapter, bounds)
     forks.close()
     with running_server(adapter, options=bounds.flags, forks=forks) as server, Client(server.url) as client:
         assert client.infer({})["imported"] == 1
@@ -176,7 +176,7 @@ def test_tasks_are_forked_too(write_adapter: WriteAdapter, bounds: IsolationSett
     order = {"policy_dir": str(adapter), "config": package.config({}), "manifest": dict(package.manifest.data)}
     request = {**order, "script": [["infer", [{}]]]}
     settings = TaskSettings(sys.executable, adapter, bounds)
-    forks = ForkServer(sys.executable, adapter, bounds)
+    forks = AdapterForkServer(sys.executable, adapter, bounds)
     with running_server(adapter, options=bounds.flags, forks=forks):
         pass
     settings = replace(settings, forks=forks)

@@ -29,7 +29,7 @@ _GONE = -signal.SIGKILL
 """Exit code where the fork server is gone."""
 
 
-class ForkServer:
+class AdapterForkServer:
     """A fork server for the processes of one policy, in their isolation; it ends with this object.
 
     Args:
@@ -188,7 +188,7 @@ class Forked:
 
 
 def run_forked(
-    forks: ForkServer, module: str, arguments: Sequence[str], output: IO[bytes], stdin: int = subprocess.DEVNULL
+    forks: AdapterForkServer, module: str, arguments: Sequence[str], output: IO[bytes], stdin: int = subprocess.DEVNULL
 ) -> Forked | None:
     """Start a process that runs a module of the SDK.
 

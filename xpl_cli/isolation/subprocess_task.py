@@ -23,7 +23,7 @@ from xpl.process.child import SDK_START
 from xpl.wire import packed
 from xpl.worker.subprocess_task import ERROR, LENGTH
 from xpl_cli.isolation import processes
-from xpl_cli.isolation.forks import Forked, ForkServer, run_forked
+from xpl_cli.isolation.forks import AdapterForkServer, Forked, run_forked
 from xpl_cli.isolation.hang_detector import HangDetector
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.isolation.stacks import STACKS_S, innermost_frame
@@ -55,7 +55,7 @@ class TaskSettings:
     patience: float = 30.0
     limit_s: float = 600.0
     on_answer: Callable[[int], None] | None = None
-    forks: ForkServer | None = None
+    forks: AdapterForkServer | None = None
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from xpl.contract import Config
-    from xpl_cli.isolation.forks import ForkServer
+    from xpl_cli.isolation.forks import AdapterForkServer
     from xpl_cli.serving.fork_server import ForkedServer
 
 STOP_S = 10.0
@@ -116,7 +116,7 @@ def running_server(  # noqa: PLR0913 - options of `xpl serve`
     echo: bool = False,
     token: str | None = None,
     on_start: Callable[[ForkedServer], object] | None = None,
-    forks: ForkServer | None = None,
+    forks: AdapterForkServer | None = None,
 ) -> Iterator[RunningServer]:
     """Serve an adapter on a free loopback port for the length of a `with` block.
 

@@ -17,7 +17,7 @@ from xpl_cli.audit.served.hanging import HangCounter, bounded_timeouts
 from xpl_cli.audit.served.recorded_client import AnswerRecorder, RecordedClient
 from xpl_cli.audit.served.servers_ahead import ServersAhead
 from xpl_cli.basics.errors import UserError
-from xpl_cli.isolation.forks import ForkServer
+from xpl_cli.isolation.forks import AdapterForkServer
 from xpl_cli.isolation.hang_detector import HUNG
 from xpl_cli.isolation.stacks import innermost_frame
 from xpl_cli.lifecycle import interpreter
@@ -61,7 +61,7 @@ class Servers(ABC):
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
         self._ahead: ServersAhead | None = None
-        self._fork_servers: dict[str | None, ForkServer | None] = {}
+        self._fork_servers: dict[str | None, AdapterForkServer | None] = {}
         self._hangs = HangCounter()
         self.presence = PackageFiles.of(target.path)
 
@@ -275,11 +275,11 @@ class Servers(ABC):
             forks=self.forks(overrides) if is_forked else None,
         )
 
-    def forks(self, overrides: Mapping[str, object]) -> ForkServer | None:
+    def forks(self, overrides: Mapping[str, object]) -> AdapterForkServer | None:
         """Return the fork server of processes with these keys of deploy.yml, None where they cannot be forked."""
         config = self.package.config(overrides)
         folders = (checkpoint.folders(values, self.package.path) for values in (config, self.config))
-        if not ForkServer.is_possible() or len({tuple(paths) for paths in folders}) > 1:
+        if not AdapterForkServer.is_possible() or len({tuple(paths) for paths in folders}) > 1:
             return None  # environment variables that libraries read depend on the checkpoint
         env = self.options.env or self.choice.env
         if env not in self._fork_servers:
@@ -287,7 +287,7 @@ class Servers(ABC):
             with contextlib.suppress(UserError, OSError):  # the server will report it
                 environment = self.package.manifest.environment
                 python = interpreter.resolve(self.package.path, environment, python=self.options.python, env=env)
-                started = ForkServer(python, self.package.path, self.options.bounds)
+                started = AdapterForkServer(python, self.package.path, self.options.bounds)
                 self._open.callback(started.close)
                 self._fork_servers[env] = started
         return self._fork_servers[env]
