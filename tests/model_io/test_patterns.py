@@ -45,6 +45,7 @@ def test_what_is_remembered_outlives_a_reset() -> None:
     assert _seen(_off(np.s_[1:], np.s_[0, 1]), PolicyKind(keeps_state=True)) == ["recurrent"]
     assert _seen(_off(np.s_[1:, 0]), PolicyKind(history=3)) == ["history_length"]
     assert _seen(_off(np.s_[1:, 0])) == []
+    assert _seen(_off(np.s_[1:], np.s_[0, 1])) == ["recurrent"]
 
 
 def test_a_chunk_that_stands_still() -> None:

@@ -19,6 +19,8 @@ _SAME = 1e-6
 """Share of the span below which steps are the same."""
 _FEW = 0.25
 """Share of the later answers that may be right by chance, where a model remembers."""
+_MANY = 4
+"""Answers of which one is hardly the only right one by chance."""
 _ENDS = 2
 """Values of a number behind a threshold."""
 _SIGMAS = 4.0
@@ -151,6 +153,8 @@ def _memory(
     elif again and answers[0].is_right and not any(again) and remembers:
         cause = "the first episode begins right, and later ones do not: what is remembered outlives a reset"
         yield Pattern(cause, convention, others)
+    elif len(answers) > _MANY and answers[0].is_right and not any(one.is_right for one in answers[1:]):
+        yield Pattern("only the very first answer is right: something of it is kept, also over a reset", "recurrent")
 
 
 def _answers(
