@@ -154,9 +154,9 @@ def test_a_killed_server_leaves_no_forked_worker(write_adapter: WriteAdapter, bo
         before = set(processes.tree_pids(forks.pid))
         os.kill(server.pid, signal.SIGKILL)
         wait_until(lambda: len(processes.tree_pids(forks.pid)) < len(before), "the worker has ended")
-    left = processes.tree_pids(forks.pid)
+    left = processes.descendants(forks.pid)
     forks.close()
-    wait_until(lambda: not any(os.path.exists(f"/proc/{pid}") for pid in left), "all have ended")  # noqa: PTH110
+    wait_until(lambda: not any(one.is_alive for one in left), "all have ended")
 
 
 def test_a_server_whose_fork_server_is_gone_starts_its_worker(
