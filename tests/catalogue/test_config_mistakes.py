@@ -158,3 +158,13 @@ def test_a_model_may_resize_images_itself(step: dict[str, Any]) -> None:
     block = {**case.model_io, "images": [{**first, "steps": [step]}, *others]}
     words = {one.description for one, changed in _all(case, block) if "steps" not in changed["images"][0]}
     assert any(f"no {word}" in text for text in words for word in step), words
+
+
+def test_changes_of_a_pose_may_have_the_range_of_robosuites_controller() -> None:
+    """0.05 is the range of positions, and often taken for that of rotations as well."""
+    block = yaml.safe_load((ROOT / "policy/starVLA/policy.yml").read_text(encoding="utf-8"))["model_io"]
+    right = block["action"]["normalize"]["values"]
+    wrong = {key: [max(-0.05, min(0.05, one)) for one in values[:6]] + values[6:] for key, values in right.items()}
+    planted = {**block, "action": {**block["action"], "normalize": {**block["action"]["normalize"], "values": wrong}}}
+    found = in_block(catalogue.AdapterCase(get_embodiment("panda_libero"), "ee", planted))
+    assert any(changed["action"].get("normalize", {}).get("values") == right for _, changed in found)

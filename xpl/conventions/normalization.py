@@ -153,6 +153,8 @@ _STATISTIC_NAMES: dict[str, tuple[dict[str, str], ...]] = {
     "quantiles": ({"low": "q01", "high": "q99"}, {}, {"low": "q02", "high": "q98"}, {"low": "q10", "high": "q90"}),
 }
 _STATISTIC_KEYS = ("file", "key", "values")
+_OSC_POSE = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5)
+"""`output_max` of robosuite's OSC_POSE, m and rad. Source: robosuite, controllers/config/osc_pose.json."""
 
 
 def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
@@ -182,6 +184,9 @@ def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
         yield from mistakes_at_sites(sites, rank, f"normalize: clip: {clip}", _NAME, set_key("clip", clip, None))
     yield from mistakes_at_sites(sites, 2, "normalize: std: the root of what is said", _NAME, _raise_std(0.5))
     yield from mistakes_at_sites(sites, 2, "normalize: std: the square of what is said", _NAME, _raise_std(2.0))
+    yield from mistakes_at_sites(
+        sites, 1, "normalize: robosuite's output_max: 0.05 m and 0.5 rad", _NAME, _set_osc_pose
+    )
     yield from mistakes_at_sites(sites, 1, "normalize: only: all", _NAME, remove_key("only"))
     yield from mistakes_at_sites(sites, 2, "normalize: only: the others", _NAME, _invert_mask)
     yield from _masks(block, sites)
@@ -249,6 +254,16 @@ def _set_rule(rule: str, names: Mapping[str, str]) -> EntryChange:
         return {"rule": rule, "names": dict(names) or REMOVE}
 
     return change
+
+
+def _set_osc_pose(entry: Block) -> Block | None:
+    """Let changes of a pose have the range of robosuite's controller, with what follows them as it is."""
+    values = entry.get("values") or {}
+    if entry["rule"] != "min_max" or any(len(values.get(key, ())) < len(_OSC_POSE) for key in ("min", "max")):
+        return None
+    limits = {"min": [-one for one in _OSC_POSE], "max": list(_OSC_POSE)}
+    changed = {key: [*limit, *values[key][len(limit) :]] for key, limit in limits.items()}
+    return None if changed == {key: list(values[key]) for key in limits} else {"values": {**values, **changed}}
 
 
 def _raise_std(by: float) -> EntryChange:
