@@ -79,7 +79,10 @@ def patterns(
     yield from _memory(episodes, spread, tolerance, kind)
     yield from _steps(episodes, spread, tolerance)
     if kind.draws and _is_drawn(episodes, spread):
-        yield Pattern("differences are random about zero, as if other numbers were drawn: look at the seed", "sampling")
+        yield Pattern(
+            "differences are random about zero: other numbers are drawn (look at the seed), or an input is wrong",
+            "sampling",
+        )
 
 
 def _is_constant(episodes: Sequence[EpisodeAnswers], spread: Differences) -> bool:
