@@ -14,9 +14,9 @@ GOLDEN = RNG.normal(size=(3, 2, 5, 2))
 """Of three episodes, two questions, five steps, two numbers."""
 
 
-def _seen(answers: np.ndarray, kind: PolicyKind | None = None, key: str = "arm_joint_state") -> list[str]:
+def _seen(answers: np.ndarray, kind: PolicyKind | None = None) -> list[str]:
     def chunks(rows: np.ndarray) -> list[list[dict[str, Any]]]:
-        return [[{key: values} for values in chunk] for chunk in rows]
+        return [[{"arm_joint_state": values} for values in chunk] for chunk in rows]
 
     threads = [
         EpisodeAnswers([{}, {}], [0, 1], chunks(one), chunks(two)) for one, two in zip(GOLDEN, answers, strict=True)
@@ -62,11 +62,3 @@ def test_other_draws_are_random_about_zero() -> None:
     assert _seen(answers, PolicyKind(draws=True)) == ["sampling"]
     assert _seen(answers) == []
     assert _seen(_off(np.s_[:]), PolicyKind(draws=True)) == []
-
-
-def test_a_gripper_with_a_threshold_of_its_own() -> None:
-    """Two values where the model's are between, in their order; not where the model has two itself, nor of joints."""
-    assert _seen((GOLDEN > 0.2).astype(float), key="ee_joint_state") == ["gripper"]
-    assert _seen((GOLDEN < 0.2).astype(float), key="left_ee_joint_state") == ["gripper"]
-    assert _seen((RNG.normal(size=GOLDEN.shape) > 0).astype(float), key="ee_joint_state") == []
-    assert _seen((GOLDEN > 0.2).astype(float)) == []

@@ -21,8 +21,6 @@ _FEW = 0.25
 """Share of the later answers that may be right by chance, where a model remembers."""
 _MANY = 4
 """Answers of which one is hardly the only right one by chance."""
-_ENDS = 2
-"""Values of a number behind a threshold."""
 _SIGMAS = 4.0
 """How far the mean of differences may be from zero, in its standard errors, where they are drawn."""
 
@@ -75,7 +73,6 @@ def patterns(
     """
     if _is_constant(episodes, spread):
         yield Pattern("every step of a chunk is the same, and the model's are not", "chunk")
-    yield from _binary(episodes)
     yield from _memory(episodes, spread, tolerance, kind)
     yield from _steps(episodes, spread, tolerance)
     if kind.draws and _is_drawn(episodes, spread):
@@ -99,24 +96,6 @@ def _moves(chunks: Sequence[Sequence[object]], spread: Differences) -> float:
             for index in range(values.shape[1]):
                 largest = max(largest, float(np.ptp(values[:, index])) / spread[f"{key}[{index}]"])
     return largest
-
-
-def _binary(episodes: Sequence[EpisodeAnswers]) -> Iterator[Pattern]:
-    """Tell which gripper commands have two values only, by a threshold of the model's."""
-    golden = columns([chunk for episode in episodes for chunk in episode.golden])
-    adapter = columns([chunk for episode in episodes for chunk in episode.adapter])
-    for key, values in golden.items():
-        if not key.endswith(spec.State.EE_JOINT_STATE) or key not in adapter or adapter[key].shape != values.shape:
-            continue
-        for index in range(values.shape[1]):
-            ends = np.unique(adapter[key][:, index])
-            if len(ends) != _ENDS or len(np.unique(values[:, index])) <= _ENDS:
-                continue
-            low, high = (values[adapter[key][:, index] == end, index] for end in ends)
-            if low.max() < high.min() or high.max() < low.min():
-                words = f"{key}[{index}] is {ends[0]:g} or {ends[1]:g}, and the model's is between: it has no threshold"
-                yield Pattern(words, "gripper")
-                return
 
 
 @dataclass(frozen=True)
