@@ -146,6 +146,10 @@ class Servers(ABC):
         with self.own_server(overrides) as server, self.connected(server.url) as session:
             yield session
 
+    def unforked_server(self, overrides: Mapping[str, object]) -> AbstractContextManager[RunningServer]:
+        """Return a server of its own, with other values of deploy.yml, whose worker is a child of the server."""
+        return self._running({**self.options.overrides, **overrides}, is_forked=False)
+
     @contextlib.contextmanager
     def unforked_session(self) -> Iterator[RecordedClient]:
         """Connect to a server of its own whose worker imports everything itself, in the order of its own hash seed.
@@ -155,7 +159,7 @@ class Servers(ABC):
         """
         try:
             with (
-                self._running(self.options.overrides, is_forked=False) as server,
+                self.unforked_server({}) as server,
                 self.connected(server.url) as session,
             ):
                 yield session

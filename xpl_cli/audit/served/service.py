@@ -68,7 +68,7 @@ class ServiceRun:
             raise NotRun(f"the server did not start: {probe.start_problem}")
         run = cls()
         try:
-            with probe.fresh_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
+            with probe.unforked_server({sdk.Deploy.SEED: USUAL_SEED}) as server:
                 goes_on = run._run_episode(probe, server.url)
                 run.processes = processes.descendants(server.pid)
                 if goes_on:  # while a server ends, its processes change parents
