@@ -169,6 +169,19 @@ class Channel:
         for piece in coalesce(encode(head, buffers)):
             self._socket.sendall(piece)
 
+    def receive_head(self) -> Head:
+        """Return the head of the next message.
+
+        Raises:
+            EOFError: the other end is gone.
+            PackingError: the stream is no sequence of messages.
+        """
+        message = self.receive()
+        if message is None:
+            raise EOFError("the other end is gone")
+        head: Head = decode(message)[0]
+        return head
+
     def receive(self) -> Data | None:
         """Return the bytes of the next message, or None at the end of the stream.
 

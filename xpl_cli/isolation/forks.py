@@ -14,14 +14,13 @@ from typing import IO, TYPE_CHECKING
 
 from xpl.process import fork_server, spawn
 from xpl.process.child import SDK_START
-from xpl.process.link import Channel, decode
+from xpl.process.link import Channel
 from xpl_cli.isolation import processes
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from xpl.process.link import Head
     from xpl_cli.isolation.isolation_settings import IsolationSettings
 
 _CREDENTIALS = struct.Struct("3i")
@@ -79,7 +78,7 @@ class AdapterForkServer:
 
     @contextlib.contextmanager
     def connect(self) -> Iterator[socket.socket]:
-        """Return a connection for the length of a `with` block; whoever gets its descriptor keeps it."""
+        """Return a connection for the length of a `with` block; a process that gets its descriptor keeps it."""
         ours, theirs = socket.socketpair()
         with ours, theirs:
             with contextlib.suppress(OSError):  # it is gone, and the other end of the connection is closed
@@ -126,7 +125,7 @@ class ForkConnection:
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         with theirs, contextlib.suppress(OSError, EOFError):
             self._channel.send({**request, "descriptors": len(descriptors)})
-            if self._receive()["forks"]:
+            if self._channel.receive_head()["forks"]:
                 socket.send_fds(self.socket, [b"\0"], [theirs.fileno(), stdin, output, *descriptors])
                 _, ancillary, _, _ = ours.recvmsg(1, socket.CMSG_SPACE(_CREDENTIALS.size))
                 for level, kind, data in ancillary:
@@ -138,16 +137,9 @@ class ForkConnection:
     def exit_code(self) -> int:
         """Wait until the process has ended, and return its exit code."""
         try:
-            return int(self._receive()["code"])
+            return int(self._channel.receive_head()["code"])
         except (OSError, EOFError):
             return _GONE
-
-    def _receive(self) -> Head:
-        message = self._channel.receive()
-        if message is None:
-            raise EOFError("the fork server is gone")
-        head: Head = decode(message)[0]
-        return head
 
 
 class Forked:

@@ -35,7 +35,7 @@ from pathlib import Path
 from typing import IO, Final, NoReturn
 
 import xpl_cli
-from xpl.process.link import Channel, Head, decode
+from xpl.process.link import Channel, Head
 
 _PRELOADED: Final = (
     "xpl_cli.main",
@@ -179,9 +179,9 @@ class ForkServer:
         with self._lock:
             self._link.send(request)
             if descriptors:
-                _receive(self._link)  # the lock prevents other reads, which would lose the descriptors
+                self._link.receive_head()  # the lock prevents other reads, which would lose the descriptors
                 socket.send_fds(self._channel, [b"\0"], list(descriptors))
-            return _receive(self._link)
+            return self._link.receive_head()
 
 
 _LOCK = threading.Lock()
@@ -232,7 +232,7 @@ def main(descriptor: int) -> None:
     tool = Channel(channel)
     with contextlib.suppress(EOFError, ConnectionError):
         while True:
-            request = _receive(tool)
+            request = tool.receive_head()
             if "status" in request:
                 _, status = os.waitpid(request["status"], 0)
                 answer = {"code": os.waitstatus_to_exitcode(status)}
@@ -298,19 +298,6 @@ def _exit(code: int) -> NoReturn:
         with contextlib.suppress(OSError, ValueError):  # the reader is gone
             stream.flush()
     os._exit(code)
-
-
-def _receive(channel: Channel) -> Head:
-    """Return the next message.
-
-    Raises:
-        EOFError: if the other end is gone.
-    """
-    message = channel.receive()
-    if message is None:
-        raise EOFError("the other end is gone")
-    head: Head = decode(message)[0]
-    return head
 
 
 def _is_readable(descriptor: int, timeout: float | None) -> bool:
