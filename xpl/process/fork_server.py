@@ -8,7 +8,7 @@ It gets connections over a control socket, a byte with one descriptor each, and 
 connection (`xpl.process.link`):
 
     -> {"import": {"modules": [[name, file], ...], "variables": {name: value}}}
-    -> {"run": module, "arguments": [...], "variables": {...}, "descriptors": n}    calls its `main`
+    -> {"run": module, "arguments": [...], "variables": {...}, "cwd": folder, "descriptors": n}    calls its `main`
     <- {"forks": true}                      or false: the process must be started in the usual way
     -> one byte, with n + 3 descriptors: a socket, standard input, output, further arguments of `main`
     <- {"code": 0}                          once it has ended; a process has a connection of its own
@@ -150,6 +150,7 @@ class _ForkServer:
         os.close(stdin)
         os.close(output)
         os.environ.update(request["variables"])
+        os.chdir(request["cwd"])
         if "numpy" in sys.modules:  # as in a process that was started: nothing is seeded (`random` sees to it itself)
             sys.modules["numpy"].random.seed()
         try:

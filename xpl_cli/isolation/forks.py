@@ -39,6 +39,7 @@ class AdapterForkServer:
     Attributes:
         pid: its process, above which its isolation may have others.
         folder: the writable folder of full isolation; None without.
+        checkout: folder of the policy.
 
     Raises:
         UserError, OSError: if it cannot be isolated, or started.
@@ -48,6 +49,7 @@ class AdapterForkServer:
         with contextlib.ExitStack() as opened:
             isolation = opened.enter_context(bounds.isolate_adapter(checkout))
             self.folder = None if isolation is None else isolation.folder
+            self.checkout = checkout
             environment = spawn.variables()
             self._control, theirs = socket.socketpair()
             opened.callback(self._control.close)
@@ -113,7 +115,7 @@ class ForkConnection:
 
         Args:
             request: `run`, a module of the SDK, `arguments` of its `main`, and `variables` of the environment that
-                differ from the fork server's.
+                differ from the fork server's, and `cwd`, its working directory.
             stdin: descriptor of its standard input.
             output: descriptor for what it prints.
             descriptors: further arguments of `main`; like the others, they stay open here.
@@ -200,7 +202,12 @@ def run_forked(
         with forks.connect() as connection:
             own = ForkConnection(connection.dup())
         opened.callback(own.socket.close)
-        forked = own.fork({"run": module, "arguments": list(arguments), "variables": {}}, read, output.fileno(), [])
+        forked = own.fork(
+            {"run": module, "arguments": list(arguments), "variables": {}, "cwd": str(forks.checkout)},
+            read,
+            output.fileno(),
+            [],
+        )
         if forked is not None:
             opened.pop_all()
             if stdin == subprocess.PIPE:

@@ -11,6 +11,7 @@ from xpl_cli.isolation.forks import ForkConnection
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+    from pathlib import Path
 
     from xpl_cli.isolation.forks import Forked
 
@@ -58,11 +59,11 @@ class WorkerForks(ForkConnection):
         return None if number is None else cls(socket.socket(fileno=int(number)))
 
     async def start(
-        self, module: str, descriptors: Sequence[int], variables: Mapping[str, str]
+        self, module: str, descriptors: Sequence[int], variables: Mapping[str, str], cwd: Path
     ) -> ForkedProcess | None:
         """Start a process; see `fork`."""
         read, write = os.pipe()
-        request = {"run": module, "arguments": [], "variables": dict(variables)}
+        request = {"run": module, "arguments": [], "variables": dict(variables), "cwd": str(cwd)}
         with open(os.devnull, "rb") as nothing:  # noqa: PTH123, ASYNC230 - a device
             try:  # in a thread: the fork server may still be importing
                 forked = await asyncio.to_thread(self.fork, request, nothing.fileno(), write, descriptors)

@@ -103,7 +103,7 @@ class WorkerProcess:
         ours.settimeout(0.0)
         visible = {} if gpu is None else {"CUDA_VISIBLE_DEVICES": gpu}
         if forks is not None:
-            forked = await forks.start(_MODULE, [theirs.fileno()], visible)
+            forked = await forks.start(_MODULE, [theirs.fileno()], visible, cwd)
             if forked is not None:
                 theirs.close()
                 return cls(forked, ours, label)
