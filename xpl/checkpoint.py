@@ -9,6 +9,7 @@ policy folder.
 
 from __future__ import annotations
 
+import contextlib
 import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
 
 TINY: Final = "tiny.json"
 """Record in a tiny random checkpoint that xpl made."""
+CUDA_ON_CPU: Final = "cuda_on_cpu"
+"""In that record: whether the adapter names the GPU in its code and is run on the CPU."""
+_DEPTH: Final = 3
+"""Folders between a file that a key names and its checkpoint."""
 
 
 class CheckpointError(FileNotFoundError):
@@ -71,8 +76,23 @@ def folders(config: Config, policy_dir: str | Path) -> list[Path]:
     try:
         path = resolve(config, base)
     except CheckpointError:
-        return [base]
+        tiny = tiny_folder(config, base)
+        return [base] if tiny is None else [base, tiny]
     return [base, path if path.is_dir() else path.parent]
+
+
+def tiny_folder(config: Config, policy_dir: str | Path) -> Path | None:
+    """Return the folder of the tiny random checkpoint that a configuration names, by whichever key.
+
+    Args:
+        config: values of deploy.yml after overrides.
+        policy_dir: the policy's folder; relative paths start there.
+    """
+    named = [Path(policy_dir, value) for value in config.values() if isinstance(value, str) and "/" in value]
+    with contextlib.suppress(CheckpointError):
+        named.append(resolve(config, policy_dir))
+    above = (folder for path in named for folder in (path, *path.parents[:_DEPTH]))
+    return next((folder for folder in above if (folder / TINY).is_file()), None)
 
 
 def run_name(config: Config) -> str | None:

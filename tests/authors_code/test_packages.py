@@ -18,7 +18,7 @@ from tests.support.checkout import ROOT
 from tests.support.peer import xpl
 from xpl_cli.basics.errors import UserError
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io import names, tiny
+from xpl_cli.model_io import names, recipes
 from xpl_cli.packages.package import load
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Subject:
 
 def _subjects() -> list[Any]:
     found = []
-    for code in sorted((ROOT / "policy").glob(f"*/{tiny.CODE}")):
+    for code in sorted((ROOT / "policy").glob(f"*/{recipes.CODE}")):
         if not (code.parent / names.CODE).is_file():
             continue
         variants = load(code.parent).manifest.data.get("variants", {})

@@ -180,7 +180,7 @@ def survivable(options: dict[str, Any]) -> Iterator[None]:
     try:
         yield
     except ServerConnectionError as error:
-        if not options.get("pipelined") or "sent ahead through shared memory" not in str(error):
+        if not options.get("pipelined") or "pipelined updates were in shared memory" not in str(error):
             raise
 
 

@@ -17,9 +17,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Callable, NoReturn
 
-from xpl import hub, variables
 from xpl.manifest import Manifest
 from xpl.policy import Policy
+from xpl.worker import surroundings
 from xpl.worker.copies import copy_value
 from xpl.worker.loading import load_model_class
 from xpl.worker.missing_requirements import ShadowError
@@ -34,8 +34,7 @@ def load(order: TaskRequest) -> Any:
             `watch`: record what it does to its observations (`xpl.worker.watch`).
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
-    variables.set_declared(policy_dir, config, (manifest or {}).get("environment"))
-    hub.offer(policy_dir, config)
+    surroundings.prepare(policy_dir, config, (manifest or {}).get("environment"))
     class_name = Manifest.parse(manifest).model_class
     if order.get("shadow"):
         from xpl.worker.shadow import load_shadow_class

@@ -26,10 +26,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Callable, NamedTuple, NoReturn, Optional
 
 from xpl import _spec as spec
-from xpl import hub, variables
 from xpl.manifest import Manifest
 from xpl.process import child, fork_server
 from xpl.wire import error_text, packed
+from xpl.worker import surroundings
 from xpl.worker.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
@@ -108,8 +108,7 @@ class AdapterWorker:
         policy_dir = self._policy_dir = Path(message["policy_dir"])
         manifest = Manifest.parse(message.get("manifest"))
         before = dict(os.environ)
-        variables.set_declared(policy_dir, message["config"], manifest.data.get("environment"))
-        hub.offer(policy_dir, message["config"])
+        surroundings.prepare(policy_dir, message["config"], manifest.data.get("environment"))
         self._variables = {name: value for name, value in os.environ.items() if before.get(name) != value}
         if message.get("shadow"):
             from xpl.worker.shadow import load_shadow_class

@@ -6,9 +6,12 @@ at first, by which it scales the weights that read an input: a camera's name, "s
 Random weights often ignore an input; its gain then grows until the action changes enough, or until a larger gain has no
 more effect. Hub repositories that loading names are folders `hub/OWNER--NAME` (`xpl.hub`).
 
-    {"policy_dir", "config", "manifest", "file", "function", "folder", "seed", "share", "most_bytes",
-     "bases": [[observation, ...], ...], "inputs": [{"name", "gain", "observations": [[observation, ...], ...]}, ...]}
+    {"policy_dir", "config", "manifest", "file", "function", "folder", "seed", "share", "most_bytes", "cuda_on_cpu",
+     "may_fail", "bases": [[observation, ...], ...],
+     "inputs": [{"name", "gain", "observations": [[observation, ...], ...]}, ...]}
     one answer for each round: {"effects": {input: share}, "gains": {name: factor}, "asked": [name, ...], "bytes"}
+
+With `may_fail`, a model that fails on its checkpoint is measured no further: an audit then says how it fails.
 
 `bases` are episodes; `observations` of an input are these episodes with this input changed.
 """
@@ -27,6 +30,7 @@ import numpy as np
 from xpl import ecosystem, hub, variables
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
+from xpl.worker import surroundings
 from xpl.worker.copies import copy_value
 from xpl.worker.inprocess import load
 from xpl.worker.loading import LoadError, load_function
@@ -51,6 +55,8 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
         ecosystem.offer(folder)
         variables.set_declared(folder, request["config"], request["manifest"].get("environment"), is_made=False)
         copies = Path(request["folder"]) / hub.FOLDER
+        if request["cuda_on_cpu"]:
+            surroundings.use_cpu_for_cuda()
         hub.use(copies)  # the recipe imports the hub's client before they exist
         _, write = load_function(
             folder, f"_xpl_tiny_{folder.name}", request["file"], request["function"], "folder, gain, config"
@@ -59,10 +65,15 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
         before: dict[str, float] = {}
         for _ in range(_ROUNDS):
             asked = _written(write, Path(request["folder"]), request, gains)
-            effects = measure(load(request), request["bases"], request["inputs"])
-            yield pack_result(
-                {"effects": effects, "gains": dict(gains), "asked": asked, "bytes": _size(request["folder"])}
-            )
+            made = {"gains": dict(gains), "asked": asked, "bytes": _size(request["folder"])}
+            try:
+                effects = measure(load(request), request["bases"], request["inputs"])
+            except FAILURES as error:
+                if not request["may_fail"]:
+                    raise
+                yield pack_result({**made, "effects": {}, "failed": f"{type(error).__name__}: {error}"})
+                return
+            yield pack_result({**made, "effects": effects})
             weak = {one["gain"] for one in request["inputs"] if effects[one["name"]] < request["share"]}
             helps = {
                 name

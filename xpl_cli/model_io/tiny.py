@@ -7,7 +7,7 @@ depends on it (`xpl.worker.tiny`): an audit with weights that ignore the instruc
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
+from xpl.checkpoint import CUDA_ON_CPU
 from xpl.embodiment import get_embodiment
 from xpl_cli.basics import atomic
 from xpl_cli.basics.content import content_folder
@@ -23,7 +24,7 @@ from xpl_cli.basics.errors import ExitCode, UnknownNameError, UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation import subprocess_task
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io import script, tiny_checkpoint
+from xpl_cli.model_io import recipes, script, tiny_checkpoint
 from xpl_cli.packages.package import POLICY, load
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
     from xpl.manifest import Manifest
     from xpl_cli.packages.package import Package
 
-CODE: Final = "tiny.py"
 FUNCTION: Final = "write"
 NAME: Final = "tiny"
 """Of the checkpoint, below `checkpoints`."""
@@ -57,6 +57,7 @@ class TinyOptions:
         python, env: interpreter, as for `xpl serve`.
         patience: how long the task may be silent, s.
         progress: where progress is shown.
+        may_fail: keep a checkpoint on which the model fails, unmeasured.
     """
 
     overrides: Config = field(default_factory=dict)
@@ -66,6 +67,7 @@ class TinyOptions:
     env: str | None = None
     patience: float = 300.0
     progress: Progress = field(default_factory=Progress)
+    may_fail: bool = False
 
 
 @dataclass(frozen=True)
@@ -97,8 +99,8 @@ def of_family(name: str) -> tuple[Path, str | None]:
         UnknownNameError: none has this name, in the project or among those that come with xpl.
     """
     families: dict[str, tuple[str, Path, str | None]] = {}
-    recipes = [recipe for folder in (Path(POLICY), content_folder(POLICY)) for recipe in folder.glob(f"*/{CODE}")]
-    for folder in (recipe.parent.resolve() for recipe in recipes):
+    found = [path for folder in (Path(POLICY), content_folder(POLICY)) for path in folder.glob(f"*/{recipes.CODE}")]
+    for folder in (path.parent.resolve() for path in found):
         variants = load(folder).manifest.data.get("variants") or {}
         for label, variant in ((folder.name, None), *((one, one) for one in variants)):
             families.setdefault(_plain(label), (label, folder, variant))
@@ -119,58 +121,67 @@ def make(package: Package, target: Path, options: TinyOptions) -> TinyCheckpoint
     Raises:
         UserError: if there is no tiny.py, or it fails, or writes too much.
     """
-    if not (package.path / CODE).is_file():
+    recipe = recipes.find(package)
+    if recipe is None:
         raise UserError(
-            f"{package.path} has no {CODE}: it defines {FUNCTION}(folder, gain, config), which writes the model's "
-            "files with a shrunken configuration",
+            f"{package.path} has no {recipes.CODE}: it defines {FUNCTION}(folder, gain, config), which writes the "
+            "model's files with a shrunken configuration",
             hint="docs/tiny-checkpoints.md shows one of twenty lines",
             code=ExitCode.NOT_FOUND,
         )
     with atomic.replaced_folder(target) as staging:
-        config = package.config({**options.overrides, sdk.Deploy.CKPT_NAME: str(staging)})
+        config = package.config(recipe.overrides(staging, options.overrides))
         bases, inputs = _inputs(package, str(config[sdk.Deploy.ENV_CFG_TYPE]))
-        options.progress.step(f"{CODE}: {len(inputs)} inputs")
+        options.progress.step(f"{recipe.path.name}: {len(inputs)} inputs")
         request = {
             "policy_dir": str(package.path),
             "config": config,
             "manifest": package.manifest.data,
-            "file": CODE,
+            "file": str(recipe.path),
             "function": FUNCTION,
             "folder": str(staging),
             "seed": options.seed,
             "share": options.share,
             "most_bytes": MOST_BYTES,
+            "cuda_on_cpu": recipe.cuda_on_cpu,
+            "may_fail": options.may_fail,
             "bases": bases,
             "inputs": inputs,
         }
-        measured = _run(package, request, options)
-        effects = measured["effects"]
-        unmoved = dict(_unmoved(inputs, effects, set(measured["asked"]), options.share))
+        measured = _run(package, recipe.path.name, request, options)
+        effects, asked = measured["effects"], set(measured["asked"])
+        if not package.manifest:  # which inputs the adapter reads is then known from its recipe alone
+            inputs = [one for one in inputs if one["gain"] in asked]
+        unmoved = dict(_unmoved([one for one in inputs if one["name"] in effects], effects, asked, options.share))
         made = {"seed": options.seed, "effects": effects, "gains": measured["gains"], "unmoved": unmoved}
+        if recipe.cuda_on_cpu:
+            made[CUDA_ON_CPU] = True
+        if "failed" in measured:
+            made["failed"] = measured["failed"]
         tiny_checkpoint.mark(staging, made)
     return TinyCheckpoint(target, int(measured["bytes"]), effects, measured["gains"], unmoved)
 
 
-def _run(package: Package, request: Mapping[str, object], options: TinyOptions) -> Mapping[str, Any]:
+def _run(package: Package, file: str, request: Mapping[str, object], options: TinyOptions) -> Mapping[str, Any]:
     """Return what the task measured with the last checkpoint that it wrote.
 
     Raises:
-        UserError: the task ended early, or tiny.py failed.
+        UserError: the task ended early, or the recipe failed.
     """
     settings = subprocess_task.TaskSettings(
         python=interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env),
         checkout=package.path,
         patience=options.patience,
         limit_s=LIMIT_S,
-        on_answer=lambda count: options.progress.detail(f"{CODE}: checkpoint {count}"),
+        on_answer=lambda count: options.progress.detail(f"{file}: checkpoint {count}"),
     )
     task = subprocess_task.run("xpl.worker.tiny", request, settings)
     if not task.answers or task.problem is not None:
-        raise UserError(f"{CODE} {task.failure}", code=ExitCode.NOT_RUN)
+        raise UserError(f"{file} {task.failure}", code=ExitCode.NOT_RUN)
     last = task.answers[-1]
     if last.error is not None:
         where = f" ({last.trace})" if last.trace else ""
-        raise UserError(f"{CODE}, or the model that loads its files: {last.error}{where}")
+        raise UserError(f"{file}, or the model that loads its files: {last.error}{where}")
     measured: Mapping[str, Any] = last.result
     return measured
 
@@ -211,7 +222,8 @@ def _inputs(package: Package, embodiment: str) -> tuple[list[list[ObservationDic
     others = [scene.observation(env, place + 7) for env, place in _OTHERS]
     widths = {key: len(values) for key, values in episodes[0][-1][sdk.Obs.STATE].items()}
     found = []
-    for one in _varied(manifest, robot.prefixes, widths, reach):
+    kinds = _varied(manifest, robot.prefixes, widths, reach) if manifest else _all_varied(scene.cameras)
+    for one in kinds:
         changed = copy.deepcopy(episodes)
         for episode, other in zip(changed, others, strict=True):
             for observation in episode[:-1] if one.earlier else episode[-1:]:
@@ -235,6 +247,13 @@ def _varied(manifest: Manifest, prefixes: Sequence[str], widths: Mapping[str, in
         yield _Input("history", "history", _replace_all, earlier=True)
 
 
+def _all_varied(cameras: Iterable[str]) -> Iterator[_Input]:
+    """Yield what an adapter without a manifest may read: every camera, the whole state, the instruction."""
+    yield from (_Input(name, name, partial(_replace_camera, name)) for name in cameras)
+    yield _Input(sdk.Obs.STATE, "state", _replace_state)
+    yield _Input(sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTION, _replace_instruction)
+
+
 def _numbers(key: str, width: int, *, has_rotation: bool) -> Iterator[_Input]:
     """Yield the numbers of a state key; those of a rotation vary together."""
     ends = [*range(sdk.POSITION_DIM), width - 1] if has_rotation else range(width)
@@ -253,6 +272,10 @@ def _replace_numbers(key: str, where: slice, observation: Any, other: Any) -> No
     values = np.array(observation[sdk.Obs.STATE][key])
     values[where] = np.asarray(other[sdk.Obs.STATE][key])[where]
     observation[sdk.Obs.STATE][key] = values
+
+
+def _replace_state(observation: Any, other: Any) -> None:
+    observation[sdk.Obs.STATE] = copy.deepcopy(other[sdk.Obs.STATE])
 
 
 def _replace_instruction(observation: Any, other: Any) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from xpl import json_text
-from xpl.checkpoint import TINY, CheckpointError, resolve
+from xpl.checkpoint import TINY, tiny_folder
 from xpl_cli.basics.atomic import write_file
 
 if TYPE_CHECKING:
@@ -27,11 +27,7 @@ def mark(folder: Path, record: Mapping[str, object]) -> None:
 
 def find(config: Config, policy_dir: Path) -> Path | None:
     """Return the checkpoint that a configuration names, if it is a tiny one that xpl made."""
-    try:
-        path = resolve(config, policy_dir)
-    except CheckpointError:
-        return None
-    return path if (path / RECORD).is_file() else None
+    return tiny_folder(config, policy_dir)
 
 
 def read(folder: Path) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Tiny random weights for an audit where the checkpoint lacks: made by the package's tiny.py, with golden pairs.
+"""Tiny random weights for an audit where the checkpoint lacks: made by a recipe, with golden pairs.
 
 They are kept in the user's cache and used again as long as the package, its configuration and its interpreter are the
 same.
@@ -11,14 +11,13 @@ import json
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-from xpl import _spec as sdk
-from xpl.checkpoint import CheckpointError, resolve
+from xpl.checkpoint import CUDA_ON_CPU, CheckpointError, resolve
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.basics import parallel, user_cache
 from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.phrases import join_limited
 from xpl_cli.lifecycle import interpreter
-from xpl_cli.model_io import names, pairs, provenance, record, tiny, tiny_checkpoint
+from xpl_cli.model_io import names, pairs, provenance, recipes, record, tiny, tiny_checkpoint
 from xpl_cli.packages import package as packages
 from xpl_cli.packages.package import POLICY
 
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.model import TargetReport
     from xpl_cli.audit.rules.options import AuditOptions
     from xpl_cli.audit.static.source import Source
+    from xpl_cli.model_io.recipes import Recipe
     from xpl_cli.packages.package import Package
 
 _FORMAT: Final = 1
@@ -39,7 +39,7 @@ _MOST_AHEAD: Final = 4
 def provide(report: TargetReport, source: Source, options: AuditOptions) -> AuditOptions:
     """Return the options with a tiny checkpoint if the configured one lacks, and note tiny weights in the report.
 
-    Nothing changes where tiny.py cannot be run here: the gates then say what the machine lacks.
+    Nothing changes where the recipe cannot be run here: the gates then say what the machine lacks.
 
     Args:
         report: of the package; gets circumstances.
@@ -51,9 +51,10 @@ def provide(report: TargetReport, source: Source, options: AuditOptions) -> Audi
     try:
         package = packages.load(source.path, options.overrides)
         config = package.config(options.overrides)
-        if _lacks(package, config):
-            folder = _made(package, source, options)
-            options = replace(options, overrides={**options.overrides, sdk.Deploy.CKPT_NAME: str(folder)})
+        recipe = recipes.find(package)
+        if recipe is not None and _lacks(recipe, package, config):
+            folder = _made(recipe, package, source, options)
+            options = replace(options, overrides=recipe.overrides(folder, options.overrides))
             config = package.config(options.overrides)
         checkpoint = tiny_checkpoint.find(config, package.path)
         if checkpoint is None:
@@ -76,10 +77,10 @@ def provide(report: TargetReport, source: Source, options: AuditOptions) -> Audi
     return options
 
 
-def _lacks(package: Package, config: dict[str, object]) -> bool:
-    """Tell whether the checkpoint of a package with tiny.py is not there."""
-    if not (package.path / tiny.CODE).is_file():
-        return False
+def _lacks(recipe: Recipe, package: Package, config: dict[str, object]) -> bool:
+    """Tell whether the checkpoint of a package with a recipe is not there."""
+    if recipe.is_foreign:
+        return not recipe.is_configured(config, package.path)
     try:
         resolve(config, package.path)
     except CheckpointError:
@@ -87,23 +88,33 @@ def _lacks(package: Package, config: dict[str, object]) -> bool:
     return False
 
 
-def _made(package: Package, source: Source, options: AuditOptions) -> Path:
-    """Return the folder of the package's tiny checkpoint, made if it is not in the cache.
+def _made(recipe: Recipe, package: Package, source: Source, options: AuditOptions) -> Path:
+    """Return the folder of a package's tiny checkpoint, made if it is not in the cache.
 
     Raises:
         UserError: it cannot be made here.
     """
     python = interpreter.resolve(package.path, package.manifest.environment, python=options.python, env=options.env)
     key = [_FORMAT, source.boundary_hash(), python, options.overrides]
+    if recipe.is_foreign:
+        key.append(hashlib.sha256(recipe.path.read_bytes()).hexdigest())
     digest = hashlib.sha256(json.dumps(key, sort_keys=True, default=str).encode()).hexdigest()[:16]
     folder = user_cache.folder() / _FOLDER / f"{package.name}-{digest}"
     if not (folder / tiny_checkpoint.RECORD).is_file():
-        options.progress.step(f"{package.name}: no checkpoint is here; {tiny.CODE} makes one with random weights")
+        options.progress.step(
+            f"{package.name}: no checkpoint is here; {recipe.path.name} makes one with random weights"
+        )
         folder.parent.mkdir(parents=True, exist_ok=True)
         tiny.make(
             package,
             folder,
-            tiny.TinyOptions(options.overrides, python=options.python, env=options.env, progress=options.progress),
+            tiny.TinyOptions(
+                options.overrides,
+                python=options.python,
+                env=options.env,
+                progress=options.progress,
+                may_fail=recipe.is_foreign,
+            ),
         )
     return folder
 
@@ -130,5 +141,7 @@ def _record_pairs(package: Package, checkpoint: Path, options: AuditOptions) -> 
 
 def _describe(checkpoint: Path) -> str:
     """Return what a verdict says of the weights, with the inputs that they ignore."""
-    unmoved = tiny_checkpoint.read(checkpoint).get("unmoved") or {}
-    return f"{tiny_checkpoint.WORDS}{f', which ignore {join_limited(list(unmoved), _MOST)}' if unmoved else ''}"
+    made = tiny_checkpoint.read(checkpoint)
+    unmoved = made.get("unmoved") or {}
+    ignored = f", which ignore {join_limited(list(unmoved), _MOST)}" if unmoved else ""
+    return f"{tiny_checkpoint.WORDS}{ignored}{', cuda means the CPU' if made.get(CUDA_ON_CPU) else ''}"
