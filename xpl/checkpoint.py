@@ -24,6 +24,8 @@ TINY: Final = "tiny.json"
 """Record in a tiny random checkpoint that xpl made."""
 CUDA_ON_CPU: Final = "cuda_on_cpu"
 """In that record: whether the adapter names the GPU in its code and is run on the CPU."""
+VARIABLES: Final = "variables"
+"""In that record: environment variables of the adapter's process; `{folder}` stands for the checkpoint's folder."""
 _DEPTH: Final = 3
 """Folders between a file that a key names and its checkpoint."""
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING
 
 import pytest
 
+from xpl.worker import surroundings
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import recipes, tiny
 from xpl_cli.packages import package
@@ -14,12 +16,14 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 MODEL = """\
+import os
+
 import numpy as np
 
 
 class Model:
     def __init__(self, config):
-        self.weights = np.load(config["run_dir"] + "/weights.npy")
+        self.weights = np.load(os.environ["RUNS"] + "/weights.npy")
 
     def update_obs(self, obs):
         self.obs = obs
@@ -38,6 +42,7 @@ import numpy as np
 
 REQUIREMENTS = ("numpy",)
 SETTINGS = {"run_dir": "{folder}", "env_cfg_type": "arx_x5_single", "action_type": "joint", "CHUNK": 4}
+VARIABLES = {"RUNS": "{folder}"}
 
 
 def write(folder, gain, config):
@@ -60,7 +65,9 @@ def adapter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return folder
 
 
-def test_a_recipe_of_the_zoo_makes_the_weights_of_a_bare_adapter(adapter: Path, tmp_path: Path) -> None:
+def test_a_recipe_of_the_zoo_makes_the_weights_of_a_bare_adapter(
+    adapter: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     found = package.load(adapter)
     recipe = recipes.find(found)
     assert recipe is not None
@@ -70,6 +77,9 @@ def test_a_recipe_of_the_zoo_makes_the_weights_of_a_bare_adapter(adapter: Path, 
     assert (made.path / "weights.npy").is_file()
     assert made.effects["state"] >= tiny.SHARE
     assert made.unmoved == {}
+    monkeypatch.setenv("RUNS", "")
+    surroundings.prepare(adapter, {"run_dir": str(made.path)}, None)
+    assert os.environ["RUNS"] == str(made.path)
     own = found.config(recipe.overrides(made.path, {"CHUNK": 8}))
     assert (own["run_dir"], own["CHUNK"]) == (str(made.path), 8)
     assert recipe.is_configured(own, adapter)

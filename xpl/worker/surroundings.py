@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,10 +24,18 @@ def prepare(policy_dir: Path, config: Config, environment: object) -> None:
     variables.set_declared(policy_dir, config, environment)
     hub.offer(policy_dir, config)
     tiny = checkpoint.tiny_folder(config, policy_dir)
-    if tiny is not None and json_text.parse((tiny / checkpoint.TINY).read_text(encoding="utf-8")).get(
-        checkpoint.CUDA_ON_CPU
-    ):
+    if tiny is None:
+        return
+    record = json_text.parse((tiny / checkpoint.TINY).read_text(encoding="utf-8"))
+    set_of_recipe(record.get(checkpoint.VARIABLES, {}), tiny)
+    if record.get(checkpoint.CUDA_ON_CPU):
         use_cpu_for_cuda()
+
+
+def set_of_recipe(values: Mapping[str, str], folder: Path) -> None:
+    """Set the environment variables of a recipe for a tiny checkpoint in this folder."""
+    for name, value in values.items():
+        os.environ[name] = value.replace("{folder}", str(folder))
 
 
 def use_cpu_for_cuda() -> None:

@@ -7,7 +7,7 @@ Random weights often ignore an input; its gain then grows until the action chang
 more effect. Hub repositories that loading names are folders `hub/OWNER--NAME` (`xpl.hub`).
 
     {"policy_dir", "config", "manifest", "file", "function", "folder", "seed", "share", "most_bytes", "cuda_on_cpu",
-     "may_fail", "bases": [[observation, ...], ...],
+     "variables", "may_fail", "bases": [[observation, ...], ...],
      "inputs": [{"name", "gain", "observations": [[observation, ...], ...]}, ...]}
     one answer for each round: {"effects": {input: share}, "gains": {name: factor}, "asked": [name, ...], "bytes"}
 
@@ -55,6 +55,7 @@ def _rounds(request: Mapping[str, Any]) -> Iterator[bytes]:
         ecosystem.offer(folder)
         variables.set_declared(folder, request["config"], request["manifest"].get("environment"), is_made=False)
         copies = Path(request["folder"]) / hub.FOLDER
+        surroundings.set_of_recipe(request["variables"], Path(request["folder"]))
         if request["cuda_on_cpu"]:
             surroundings.use_cpu_for_cuda()
         hub.use(copies)  # the recipe imports the hub's client before they exist

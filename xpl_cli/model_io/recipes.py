@@ -5,6 +5,7 @@ constants, which are read without running it:
 
     REQUIREMENTS  what the adapter's interpreter needs, as in a requirements file
     SETTINGS      keys of deploy.yml with which the adapter finds the files; `{folder}` stands for the checkpoint's
+    VARIABLES     environment variables that the adapter's scripts set; likewise with `{folder}`
     CUDA_ON_CPU   True: the adapter names the GPU in its code, and this device means the CPU
 """
 
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 CODE: Final = "tiny.py"
 _FOLDER: Final = "{folder}"
-_CONSTANTS: Final = {"REQUIREMENTS": tuple, "SETTINGS": dict, "CUDA_ON_CPU": bool}
+_CONSTANTS: Final = {"REQUIREMENTS": tuple, "SETTINGS": dict, "VARIABLES": dict, "CUDA_ON_CPU": bool}
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class Recipe:
         path: the file with `write`.
         requirements: what the interpreter needs; empty where the package says so itself.
         settings: keys of deploy.yml; `{folder}` in a value stands for the checkpoint's folder.
+        variables: environment variables of the adapter's process, likewise.
         cuda_on_cpu: whether the device `cuda` means the CPU.
         is_foreign: whether it is for an adapter that has none itself.
     """
@@ -44,6 +46,7 @@ class Recipe:
     path: Path
     requirements: tuple[str, ...] = ()
     settings: Mapping[str, Any] = field(default_factory=dict)
+    variables: Mapping[str, str] = field(default_factory=dict)
     cuda_on_cpu: bool = False
     is_foreign: bool = False
 
@@ -79,6 +82,7 @@ def find(package: Package) -> Recipe | None:
         path,
         found.get("REQUIREMENTS", ()),
         found.get("SETTINGS", {}),
+        found.get("VARIABLES", {}),
         found.get("CUDA_ON_CPU", False),
         is_foreign=True,
     )

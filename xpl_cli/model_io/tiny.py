@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from xpl import _spec as sdk
-from xpl.checkpoint import CUDA_ON_CPU
+from xpl.checkpoint import CUDA_ON_CPU, VARIABLES
 from xpl.embodiment import get_embodiment
 from xpl_cli.basics import atomic
 from xpl_cli.basics.content import content_folder
@@ -144,6 +144,7 @@ def make(package: Package, target: Path, options: TinyOptions) -> TinyCheckpoint
             "share": options.share,
             "most_bytes": MOST_BYTES,
             "cuda_on_cpu": recipe.cuda_on_cpu,
+            "variables": dict(recipe.variables),
             "may_fail": options.may_fail,
             "bases": bases,
             "inputs": inputs,
@@ -156,6 +157,8 @@ def make(package: Package, target: Path, options: TinyOptions) -> TinyCheckpoint
         made = {"seed": options.seed, "effects": effects, "gains": measured["gains"], "unmoved": unmoved}
         if recipe.cuda_on_cpu:
             made[CUDA_ON_CPU] = True
+        if recipe.variables:
+            made[VARIABLES] = dict(recipe.variables)
         if "failed" in measured:
             made["failed"] = measured["failed"]
         tiny_checkpoint.mark(staging, made)
