@@ -57,6 +57,12 @@ class Function:
         return tuple(writes([self]))
 
     @cached_property
+    def assignments(self) -> list[tuple[ast.expr, ast.expr]]:
+        """The target and the value of each assignment; a value that is unpacked is listed with each of its targets."""
+        settings: list[ast.Assign | ast.AnnAssign] = [*self.of(ast.Assign), *self.of(ast.AnnAssign)]
+        return [(target, node.value) for node in settings if node.value is not None for target in targets(node)]
+
+    @cached_property
     def up(self) -> dict[ast.AST, ast.AST]:
         """The parent of each of its nodes."""
         return {child: parent for parent in self.nodes for child in ast.iter_child_nodes(parent)}
