@@ -7,7 +7,8 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
-from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
+from xpl_cli.audit.static.model_class import ACT, ACT_BATCH, ModelClass
+from xpl_cli.audit.static.positions import pairings
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, names, parameters, targets
 
@@ -20,7 +21,9 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Follows the list of environment indices through `get_action_batch`. Code that only reads its length, or enumerates
-    it without using its entries, knows how many environments are requested, but not which.
+    it without using its entries, knows how many environments are requested, but not which. Code that pairs the list
+    with stored observations by position (`self.observations[:len(env_idx_list)]`, `zip(env_idx_list,
+    self.observations)`) labels the observation of one environment as that of another.
 
     ## Why it matters
     Environments of a batch end at different times. When 3 and 7 have ended and only 9 runs, the list is [9]; an adapter
@@ -75,7 +78,7 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
     for read in reads:
         use = _use(read, up, aliases)
         if use == "content":
-            return None
+            return _paired(function, aliases)
         if use == "count":
             counted = counted or _outermost(read, up)
     if counted is not None:
@@ -89,6 +92,20 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
         f"{ACT_BATCH}([9]) returns actions for every observed environment, and so that of 3 for 9: {parameter} "
         "is never read"
     ), function.node
+
+
+def _paired(function: Function, requested: set[str]) -> tuple[str, ast.AST] | None:
+    """Return what is wrong with a method that reads the entries of the list, and yet answers by position."""
+    paired = next(pairings(function, requested), None)
+    if paired is not None:
+        return (
+            f"{ACT_BATCH}([9]) acts on the observation that was stored first, say of 3, and labels it 9: "
+            "what is stored is taken by position, and robots receive each other's commands"
+        ), paired
+    repeated = next((node for node in function.of(ast.ListComp) if called(node.elt) == f"self.{ACT}"), None)
+    if repeated is not None and not names(repeated.elt) - {"self"}:
+        return f"{ACT_BATCH}([3, 7]) answers both by the one observation that {ACT} knows of", repeated
+    return None
 
 
 def _is_list(value: ast.expr, aliases: set[str]) -> bool:

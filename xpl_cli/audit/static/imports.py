@@ -39,6 +39,9 @@ def own_imports(package: Path, name: str, nodes: Iterable[ast.AST]) -> dict[str,
 
 def _file(package: Path, module: str, level: int, here: str) -> str | None:
     """Return the file of an imported module, if it is the package's own."""
+    for ecosystem in (f"XPolicyLab.policy.{package.name}.", f"policy.{package.name}."):
+        if not level and module.startswith(ecosystem):  # an adapter by its place in the ecosystem's checkout
+            module, here = module.removeprefix(ecosystem), ""
     base = Path(here)
     for _ in range(level - 1):
         if base == Path():
