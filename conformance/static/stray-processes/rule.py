@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.static.scripts.flow import PYTHONS, executed_words, quote_command, scripts, word_location
+from xpl_cli.audit.static.scripts.flow import (
+    PYTHONS,
+    executed_words,
+    only_prints,
+    quote_command,
+    scripts,
+    word_location,
+)
 from xpl_cli.audit.static.shell import ShellCommand, ShellScript
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
@@ -18,6 +26,9 @@ _DETACHED = re.compile(r"tmux new\S* .*-\w*d|screen -\w*d")
 _LAUNCHER = re.compile(r"(?:^|[_-])(?:start|launch|serve|spawn|up|daemon)(?:[_.-]|$)")
 _STANDARD = frozenset(spec.data("package")["scripts"])
 """Scripts that others call and wait for."""
+_MULTIPLEXERS: Final = frozenset(("tmux", "screen"))
+_GUIDE: Final = re.compile(r"\btmux\s+(?:a|at|attach\S*|kill-ses\S*|ls)\b|\bscreen\s+-(?:r|x|ls|S\s+\S+\s+-X)\b")
+"""How a person attaches to a session, or ends it."""
 
 
 @rule(code="XPL157", requirement="XPL-PKG-11")
@@ -27,7 +38,9 @@ def stray_processes(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for background processes that are neither waited for nor ended in an exit trap; for a server that is ended by
     the id of the shell that started it, if that shell does not `exec` the server; and for processes that are ended by
-    name. A script called `start_...` or `launch_...` is meant to leave processes running.
+    name. A script called `start_...` or `launch_...` is meant to leave processes running, and so is one that starts
+    sessions of tmux or screen and does nothing after that, or tells a person how to attach to them; but for the scripts
+    of the standard, which others wait for.
 
     ## Why it matters
     A server that is left running keeps GPU memory and the port. The next run fails, or connects to the old model.
@@ -47,29 +60,34 @@ def stray_processes(source: Source) -> Iterator[Finding]:
     has_finding = False
     for name, commands in scripts(source):
         has_finding = True
-        yield from _left(name, commands)
+        yield from _left(source, name, commands)
         yield from _by_name(name, commands)
     if not has_finding:
         raise NotApplicable("the adapter has no scripts")
     yield from _orphaned(source)
 
 
-def _left(name: str, commands: ShellScript) -> Iterator[Finding]:
+def _left(source: Source, name: str, commands: ShellScript) -> Iterator[Finding]:
     """Yield what runs in the background when the script ends."""
     if _LAUNCHER.search(name) and name not in _STANDARD:
         return  # what it starts is meant to go on
-    started = [command for command in commands if command.end == "&" or command.name in {"tmux", "screen"}]
+    started = [
+        (place, command)
+        for place, command in enumerate(commands)
+        if command.end == "&" or command.name in _MULTIPLEXERS
+    ]
     if not started or any(command.name == "wait" for command in commands):
         return
     has_trap = any(
         command.name == "trap" and {word.text for word in command.words} & {"EXIT", "0"} for command in commands
     )
-    kills = any("kill" in word.raw for command in commands for word in command.words)
-    for command in started:
+    are_sessions_meant = name not in _STANDARD and _leaves_sessions(source, name, commands)
+    for place, command in started:
         words = executed_words(command)
         is_detached = _DETACHED.match(" ".join(word.text for word in words)) is not None
-        if not words or has_trap or (command.end != "&" and not is_detached):
+        if not words or has_trap or (command.end != "&" and (not is_detached or are_sessions_meant)):
             continue
+        kills = _ends_later(commands, place)
         if kills and "errexit" not in commands.options:
             continue
         when = "if a later step fails, " if kills else ""
@@ -82,6 +100,30 @@ def _left(name: str, commands: ShellScript) -> Iterator[Finding]:
             + ("ended only in the last lines" if kills else "never ended"),
             fix=Fix("advice", "store `$!`, and end it in `trap ... EXIT`"),
         )
+
+
+def _ends_later(commands: ShellScript, place: int) -> bool:
+    """Tell whether a script ends processes after it started the one at `place`; before, it ends those of a former run.
+
+    Functions count wherever they stand.
+    """
+    return any(
+        "kill" in word.raw
+        for later, command in enumerate(commands)
+        if later > place or command.functions
+        for word in command.words
+        if not only_prints(command)
+    )
+
+
+def _leaves_sessions(source: Source, name: str, commands: ShellScript) -> bool:
+    """Tell whether sessions of a script are its purpose: nothing needs them later, or it says how to attach to them."""
+    last = max((place for place, command in enumerate(commands) if command.name in _MULTIPLEXERS), default=0)
+    if all(map(only_prints, commands[last + 1 :])):
+        return True
+    executed = {word.line for command in commands if command.name in _MULTIPLEXERS for word in command.words}
+    lines = enumerate(source.text(name).splitlines(), 1)
+    return any(_GUIDE.search(line) for number, line in lines if number not in executed)
 
 
 def _by_name(name: str, commands: ShellScript) -> Iterator[Finding]:
