@@ -22,11 +22,11 @@ from tests.support.adapters.rules import made_adapter
 from tests.support.peer import xpl
 from xpl_cli.agents.review import page
 from xpl_cli.agents.review.change import BranchChange, ChangedPackage
-from xpl_cli.agents.review.harm import harm
 from xpl_cli.agents.review.review import Review, ReviewFinding
 from xpl_cli.audit.formats import ReportContext, render
 from xpl_cli.audit.formats.listing import listed_findings
 from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.harm import Harm
 from xpl_cli.audit.rules.model import Finding, Fix, GateReport, Outcome, RuleResult, TargetReport
 from xpl_cli.basics import failures, pages, untrusted
 from xpl_cli.basics.errors import ExitCode, UserError
@@ -97,7 +97,7 @@ def review(text: str) -> str:
     (report,) = reports(text)
     context = ReportContext(here=Path("/nowhere"))
     (entry,) = listed_findings([report], context)
-    remark = ReviewFinding(entry, (), harm("XPL-PKG-4")[1], None)
+    remark = ReviewFinding(entry, (), Harm.of("XPL-PKG-4"), None)
     target = AuditTarget(Path("/nowhere") / "policy/x", "policy", report.path)
     change = BranchChange(text, "0" * 40, (ChangedPackage(target, report.path, 1, "added"),), (text,), ())
     return page.render(Review(change, (report,), (remark,) * 12, None, context))

@@ -207,6 +207,7 @@ FAULTS = [
     ("v1/env.schema.json", '"xpl:v1/env"', '"xpl:v1/envs"', "expected xpl:v1/env"),
     ("v1/requirements.yml", "XPL-OBS-1:", "XPL-obs-1:", "an id is XPL-AREA-NUMBER"),
     ("v1/requirements.yml", "level: MUST", "level: SHALL", "level must be MUST or SHOULD"),
+    ("v1/requirements.yml", "harm: deceives", "harm: none", "harm must be one of moves-wrongly"),
     ("v1/conventions.yml", "joint: [arm_joint_state", "joint: [arm_joint_states", "no state of an observation"),
     ("v1/package.yml", "  train.sh: [", "  trian.sh: [", "not among the files of a package"),
     ("v1/notes.txt", "", "x", "no part of the standard"),

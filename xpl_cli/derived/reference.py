@@ -103,16 +103,20 @@ def _requirements() -> str:
     areas: dict[str, list[tuple[str, ...]]] = {}
     for entry in spec.requirements().values():
         rules_text = ", ".join(f"{rule.code} {rule.slug}" for rule in proofs.get(entry.id, ()))
-        row = (entry.id, entry.level, entry.text, entry.source, rules_text)
-        areas.setdefault(entry.id.split("-")[1], []).append(row)
+        row = (entry.id, entry.level, entry.text, entry.source, entry.harm, rules_text)
+        areas.setdefault(entry.area.capitalize(), []).append(row)
     lines = [
         "# Requirements",
         "",
         "A MUST that does not hold fails an audit, a SHOULD warns. Source: contract of the field, its wire protocol, a",
         "fault found in the field, or a decision of this standard (xpl). `xpl explain RULE` tells more.",
+        "",
+        "Harm is what a package does that violates the requirement. Reports list findings in this order:",
+        "",
+        *(f"- `{name}`: {sentence}" for name, sentence in spec.harms().items()),
     ]
     for area, rows in areas.items():
-        lines += ["", f"## {area}", "", *table(("id", "level", "requirement", "source", "rules"), rows)]
+        lines += ["", f"## {area}", "", *table(("id", "level", "requirement", "source", "harm", "rules"), rows)]
     return "\n".join(lines)
 
 

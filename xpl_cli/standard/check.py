@@ -94,6 +94,8 @@ def _requirements() -> Iterator[Problem]:
             (requirement.level not in ("MUST", "SHOULD"), f"level must be MUST or SHOULD, got {requirement.level!r}"),
             (not requirement.text.strip().endswith("."), "text must be a sentence"),
             (not requirement.source, "a requirement names its source"),
+            (requirement.harm not in spec.harms(), f"harm must be one of {', '.join(spec.harms())}"),
+            (key.split("-")[1] not in spec.data("requirements")["areas"], "its area is not among the areas"),
         ]
         for wrong, message in faults:
             if wrong:

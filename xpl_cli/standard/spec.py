@@ -22,12 +22,23 @@ VERSION: Final = "v1"
 
 @dataclass(frozen=True)
 class Requirement:
-    """One MUST or SHOULD of the standard."""
+    """One MUST or SHOULD of the standard.
+
+    Attributes:
+        harm: what a package does that violates it, a name of `harms`; empty if that is not said.
+    """
 
     id: str
     level: Literal["MUST", "SHOULD"]
     source: str
+    harm: str
     text: str
+
+    @property
+    def area(self) -> str:
+        """What it is about, in the plural, such as `observations`."""
+        name = self.id.split("-")[1]
+        return str(data("requirements")["areas"].get(name, name))
 
 
 def folder() -> Path:
@@ -79,9 +90,16 @@ def schema_names() -> list[str]:
 def requirements() -> dict[str, Requirement]:
     """Return every requirement by its stable id."""
     return {
-        key: Requirement(id=key, level=entry["level"], source=entry["source"], text=entry["text"])
+        key: Requirement(key, entry["level"], entry["source"], entry.get("harm", ""), entry["text"])
         for key, entry in data("requirements")["requirements"].items()
     }
+
+
+@cache
+def harms() -> dict[str, str]:
+    """Return the kinds of harm, worst first, each with what a package does that causes it."""
+    named: dict[str, str] = data("requirements")["harms"]
+    return named
 
 
 def text(file: str) -> str:

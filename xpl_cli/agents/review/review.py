@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from xpl_cli.agents.review.change import CHANGED, change_since
-from xpl_cli.agents.review.harm import Harm, harm
 from xpl_cli.agents.review.new_findings import is_old, packages_without_code_changes, without_old_findings
 from xpl_cli.audit.engine.engine import audit_all
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_findings
 from xpl_cli.audit.rules.gates import Gate
+from xpl_cli.audit.rules.harm import Harm
 from xpl_cli.audit.rules.model import Outcome, exit_code
 from xpl_cli.audit.rules.verdict import VerdictStatus, verdict_of, weakest
 from xpl_cli.audit.static.file_reading import SIZE_LIMIT
@@ -152,7 +152,7 @@ def _group_findings(
         first, *others = new_first
         remarks.append(
             ReviewFinding(
-                first, tuple(others), harm(first.result.requirement)[1], is_old(first, base_fingerprints, same)
+                first, tuple(others), Harm.of(first.result.requirement), is_old(first, base_fingerprints, same)
             )
         )
     return sorted(remarks, key=_order)
@@ -160,7 +160,7 @@ def _group_findings(
 
 def _order(remark: ReviewFinding) -> tuple[bool, int, bool]:
     first = remark.first
-    return first.result.outcome is not Outcome.FAIL, harm(first.result.requirement)[0], bool(remark.is_old)
+    return first.result.outcome is not Outcome.FAIL, remark.harm.rank, bool(remark.is_old)
 
 
 def _known_before(change: BranchChange, repository: Repository, options: AuditOptions) -> set[str]:
