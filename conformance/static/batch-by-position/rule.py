@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACT, ACT_BATCH, ModelClass
-from xpl_cli.audit.static.positions import pairings
+from xpl_cli.audit.static.positions import is_list, names_of_list, pairings
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, names, parameters, targets
+from xpl_cli.audit.static.syntax import called, names, parameters
 
 _FIX = Fix("advice", "keep observations in a dict by environment index, and look up each entry of the list")
 
@@ -64,12 +64,9 @@ def _acts(function: Function) -> bool:
 
 def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
     """Return what is wrong, and where, if no entry of the list is looked at."""
-    aliases = {parameter}
+    aliases = names_of_list(function, parameter)
     up = function.up
     counted: ast.AST | None = None
-    for node in function.nodes:  # names that hold the list, under another name or copied
-        if isinstance(node, ast.Assign) and _is_list(node.value, aliases):
-            aliases.update(target.id for target in targets(node) if isinstance(target, ast.Name))
     reads = [
         node
         for node in function.nodes
@@ -108,33 +105,11 @@ def _paired(function: Function, requested: set[str]) -> tuple[str, ast.AST] | No
     return None
 
 
-def _is_list(value: ast.expr, aliases: set[str]) -> bool:
-    """Tell whether a value is the list itself, a copy of it, or it where it is given."""
-    if isinstance(value, ast.Name):
-        return value.id in aliases
-    if isinstance(value, ast.Call):
-        return called(value) in {"list", "tuple", "copy"} and len(value.args) == 1 and _is_list(value.args[0], aliases)
-    if isinstance(value, ast.BoolOp):
-        return any(_is_list(entry, aliases) for entry in value.values)
-    if isinstance(value, ast.IfExp):
-        return _is_list(value.body, aliases) or _is_list(value.orelse, aliases)
-    if isinstance(value, ast.ListComp):  # [int(env) for env in env_idx_list]
-        return len(value.generators) == 1 and _is_list(value.generators[0].iter, aliases) and _is_plain(value)
-    return False
-
-
-def _is_plain(value: ast.ListComp) -> bool:
-    element = value.elt
-    if isinstance(element, ast.Call) and called(element) in {"int", "str"} and len(element.args) == 1:
-        element = element.args[0]
-    return isinstance(element, ast.Name)
-
-
 def _use(read: ast.Name, up: dict[ast.AST, ast.AST], aliases: set[str]) -> str:
     """Say how one mention of the list uses it: its `content`, its `count`, or `nothing`."""
     node: ast.AST = read
     parent = up.get(node)
-    while isinstance(parent, (ast.BoolOp, ast.IfExp)) or (isinstance(parent, ast.Call) and _is_list(parent, aliases)):
+    while isinstance(parent, (ast.BoolOp, ast.IfExp)) or (isinstance(parent, ast.Call) and is_list(parent, aliases)):
         if isinstance(parent, ast.IfExp) and node is parent.test:
             return "nothing"
         node, parent = parent, up.get(parent)
@@ -162,7 +137,7 @@ def _use_in(parent: ast.AST | None, up: dict[ast.AST, ast.AST]) -> str:
 def _copies(parent: ast.AST | None, up: dict[ast.AST, ast.AST], aliases: set[str]) -> bool:
     """Tell whether a comprehension only copies the list, into a name that is then followed."""
     whole = up.get(parent) if isinstance(parent, ast.comprehension) else None
-    return isinstance(whole, ast.ListComp) and _is_list(whole, aliases) and isinstance(up.get(whole), ast.Assign)
+    return isinstance(whole, ast.ListComp) and is_list(whole, aliases) and isinstance(up.get(whole), ast.Assign)
 
 
 def _entry_is_used(call: ast.Call, up: dict[ast.AST, ast.AST]) -> bool:

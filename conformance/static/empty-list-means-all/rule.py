@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
+from xpl_cli.audit.static.positions import names_of_list
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import always_raises, parameters, targets
 
@@ -39,6 +40,7 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
     if function is None or not parameter_names:
         return
     name = parameter_names[0]
+    aliases = names_of_list(function, name)
     for node in function.nodes:
         if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or) and _is(node.values[0], name):
             default = " or ".join(ast.unparse(value) for value in node.values[1:])
@@ -57,15 +59,18 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
                 got=ast.unparse(node),
                 fix=Fix("advice", f"test `{name} is None`"),
             )
-        elif isinstance(node, ast.If) and _is_not(node.test, name) and not _knows_none(function.node, name, node):
-            consequence = _consequence(node, name)
+        elif isinstance(node, ast.If):
+            held = next((alias for alias in sorted(aliases) if _is_not(node.test, alias)), None)
+            if held is None or any(_knows_none(function.node, alias, node) for alias in aliases):
+                continue
+            consequence = _consequence(node, held)
             if consequence is not None:
                 yield Finding(
                     f"{ACT_BATCH}([]) {consequence} although no environment is running",
                     **source.at(function.file, node.test),
                     expected="[] is answered by []",
                     got=f"if {ast.unparse(node.test)}: {ast.unparse(node.body[0])}",
-                    fix=_test(source, function, node, name),
+                    fix=_test(source, function, node, held if held == name else ""),
                 )
 
 
@@ -78,10 +83,10 @@ def _default(source: Source, function: Function, node: ast.BoolOp, text: str) ->
 
 def _test(source: Source, function: Function, node: ast.If, name: str) -> Fix:
     """Return the edit of `if not x: x = ...`; for every other test or consequence, advice."""
-    if isinstance(node.test, ast.UnaryOp) and not always_raises(node.body):
+    if name and isinstance(node.test, ast.UnaryOp) and not always_raises(node.body):
         edit = Edit(**source.at(function.file, node.test), text=f"{name} is None")
         return Fix("safe_edit", f"if {name} is None:", (edit,))
-    return Fix("advice", f"test `{name} is None`, and return [] for an empty list")
+    return Fix("advice", "return [] for an empty list before, and test for None where no list may be given")
 
 
 def _is(node: ast.AST, name: str) -> bool:

@@ -1,4 +1,4 @@
-"""Stored observations that are taken by their position in a batch, and not by their environment."""
+"""The list of environments that a batch is asked for, and stored observations that are taken by position instead."""
 
 from __future__ import annotations
 
@@ -16,6 +16,37 @@ if TYPE_CHECKING:
 _INDICES: Final = re.compile(r"env|idx|ind(ex|ices)|order|key|ids?$", re.IGNORECASE)
 """Attributes that hold the environments themselves."""
 _COPIES: Final = frozenset(("list", "tuple", "copy", "deepcopy", "reversed"))
+
+
+def names_of_list(function: Function, parameter: str) -> set[str]:
+    """Return the names that hold a list that a function gets, under another name, copied, or with a default."""
+    found = {parameter}
+    for node in function.of(ast.Assign):
+        if is_list(node.value, found):
+            found.update(target.id for target in targets(node) if isinstance(target, ast.Name))
+    return found
+
+
+def is_list(value: ast.expr, aliases: set[str]) -> bool:
+    """Tell whether a value is the list itself, a copy of it, or it where it is given."""
+    if isinstance(value, ast.Name):
+        return value.id in aliases
+    if isinstance(value, ast.Call):
+        return called(value) in {"list", "tuple", "copy"} and len(value.args) == 1 and is_list(value.args[0], aliases)
+    if isinstance(value, ast.BoolOp):
+        return any(is_list(entry, aliases) for entry in value.values)
+    if isinstance(value, ast.IfExp):
+        return is_list(value.body, aliases) or is_list(value.orelse, aliases)
+    if isinstance(value, ast.ListComp):  # [int(env) for env in env_idx_list]
+        return len(value.generators) == 1 and is_list(value.generators[0].iter, aliases) and _is_plain(value)
+    return False
+
+
+def _is_plain(value: ast.ListComp) -> bool:
+    element = value.elt
+    if isinstance(element, ast.Call) and called(element) in {"int", "str"} and len(element.args) == 1:
+        element = element.args[0]
+    return isinstance(element, ast.Name)
 
 
 def pairings(function: Function, requested: set[str]) -> Iterator[ast.AST]:
