@@ -23,7 +23,8 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks for functions that normalise, and return their input unchanged if statistics are missing, and for branches
     that normalise only if statistics exist, without an `else`. Not reported if `__init__` or `load` raises an error for
-    missing statistics.
+    missing statistics, nor for a normaliser that is looked up among the steps of a pipeline which the adapter also
+    applies as a whole: where that has none, every other value is unnormalised, too, as it was in training.
 
     ## Why it matters
     The network then gets joint angles in another scale than in training, or its outputs between -1 and 1 are executed
@@ -46,6 +47,8 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
         for node, statistics, why in skips:
             settled = _settled(adapter) if settled is None else settled
             if {statistics, str(id(node))} & (settled | reported):
+                continue
+            if _is_step_of_applied(adapter, function, statistics):
                 continue
             reported |= {statistics, str(id(node))}
             yield Finding(
@@ -79,10 +82,57 @@ def _settled(adapter: ModelClass) -> set[str]:
     }
 
 
+def _is_step_of_applied(adapter: ModelClass, function: Function, statistics: str) -> bool:
+    """Tell whether statistics are a step, or None, of a pipeline that the adapter applies as a whole."""
+    acting = adapter.reach(*OBSERVING, *ACTING)
+    applied = {called(call) for other in acting for call in other.of(ast.Call)}
+    for owner, name in _origins(adapter, function, statistics):
+        for value in _given(adapter, owner, name):
+            pipeline = _searched(value)
+            if pipeline and _aliases(owner, pipeline) & (applied | {name.rpartition(".")[0] for name in applied}):
+                return True
+    return False
+
+
+def _origins(adapter: ModelClass, function: Function, name: str) -> Iterator[tuple[Function, str]]:
+    """Yield where a name of a function comes from: itself, or what callers give for this parameter."""
+    yield function, name
+    if name not in parameters(function.node):
+        return
+    for caller in adapter.reach(*LOADING, *OBSERVING, *ACTING):
+        for call in caller.of(ast.Call):
+            if adapter.callee(caller, call) is function:
+                arguments = list(zip(parameters(function.node), call.args, strict=False))
+                arguments += [(keyword.arg, keyword.value) for keyword in call.keywords if keyword.arg]
+                yield from ((caller, dotted(value)) for key, value in arguments if key == name and dotted(value))
+
+
+def _given(adapter: ModelClass, function: Function, name: str) -> Iterator[ast.expr]:
+    """Yield what a name of a function, or an attribute of the class, is assigned."""
+    functions = adapter.reach(*LOADING) if name.startswith("self.") else [function]
+    yield from (value for other in functions for target, value in other.assignments if dotted(target) == name)
+
+
+def _searched(value: ast.expr) -> str:
+    """Return the pipeline in whose steps `next(... for step in pipeline.steps ..., None)` looks for one; "" if none."""
+    if called(value) != "next" or not isinstance(value, ast.Call) or not isinstance(value.args[0], ast.GeneratorExp):
+        return ""
+    searched = value.args[0].generators[0].iter
+    return dotted(searched.value) if isinstance(searched, ast.Attribute) else dotted(searched)
+
+
+def _aliases(function: Function, name: str) -> set[str]:
+    """Return a name with the attributes that are the same object, assigned from it or with it."""
+    same = {dotted(target) for target, value in function.assignments if dotted(value) == name}
+    return {name, *same} - {""}
+
+
 def _may_be_none(adapter: ModelClass, call: ast.Call) -> bool:
-    """Tell whether a call may give None: a look-up, or a function of the adapter that returns it."""
+    """Tell whether a call may give None: a look-up, a search, or a function of the adapter that returns it."""
     if last(called(call)) == "get":
         return True
+    if called(call) == "next":
+        return len(call.args) > 1 and constant(call.args[1]) is None
     for function in adapter.reach(*LOADING):
         if function.name == last(called(call)):
             returns = [node.value for node in function.of(ast.Return)]
