@@ -4,10 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from typing import Final
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
+
+_CONSEQUENCES: Final = {
+    sdk.File.README_MD: "users do not learn how to install the policy, or which checkpoint it needs",
+    sdk.File.INIT_PY: "the package cannot be imported by its name",
+    sdk.File.DEPLOY_YML: "neither servers nor clients find a configuration",
+    sdk.File.DEPLOY_PY: "an evaluation client finds no loop that runs an episode",
+    sdk.File.MODEL_PY: "a server finds no model",
+}
+"""What follows without a file that no launcher calls; the others are scripts."""
 
 
 @rule(code="XPL101", requirement="XPL-PKG-1")
@@ -20,7 +31,8 @@ def required_files(source: Source) -> Iterator[Finding]:
     cannot declare that. A `policy.yml` that is not a regular file is reported, too.
 
     ## Why it matters
-    Launchers call these scripts by name. A missing one ends a benchmark run after the job waited in the queue.
+    Launchers call the scripts by name. A missing one ends a benchmark run after the job waited in the queue. Servers
+    and clients read the other files, and users the README.
 
     ## Example
     Only the author can set up a package without `install.sh`.
@@ -46,7 +58,7 @@ def required_files(source: Source) -> Iterator[Finding]:
     for name in required:
         if not source.has(name):
             yield Finding(
-                message=f"{name} is missing: launchers that call it fail",
+                message=f"{name} is missing: {_CONSEQUENCES.get(name, 'launchers that call it fail')}",
                 expected=f"a file {name} in the adapter's folder",
                 got="no such file",
                 fix=Fix("advice", f"copy {name} from a fresh `xpl new-policy` scaffold"),
