@@ -5,16 +5,32 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import assigned, called, constant, dotted, enclosing, key_read, last, names, targets
+from xpl_cli.audit.static.syntax import (
+    assigned,
+    called,
+    constant,
+    dotted,
+    enclosing,
+    key_read,
+    last,
+    names,
+    targets,
+    texts,
+)
 
 _NAMES = re.compile(r"(^|_)(task|bench|robot|embodiment|env_cfg|dataset|domain|unnorm|suite)(_|$|s$)", re.IGNORECASE)
 
 _ROBOTS = re.compile(r"^(robot(_name|_type)?|embodiment(_name)?|env_cfg(_type)?|robot_cfg)$")
+
+_STATISTICS: Final = re.compile(
+    r"(?:^|_)(?:un|de)?norm(?:ali[sz]\w*)?(?:_|$)|stats?(?:_|$)|statistics|quantile|(?:^|_)(?:mean|std)(?:_|$)"
+)
 
 
 @rule(code="XPL154", requirement="XPL-CFG-8")
@@ -53,16 +69,38 @@ def unknown_name(source: Source) -> Iterator[Finding]:
             )
     for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
         for node, name, instead in (*_defaults(function), *_first(function)):
+            consequence = (
+                "values are scaled by statistics of another task or robot, and the arm moves too little, or elsewhere"
+                if _selects_statistics(node, function)
+                else "the run is recorded under a name that the policy did not get"
+            )
             yield Finding(
-                (
-                    f"an unknown {name} is treated as {instead}: the run is recorded under a name that the policy "
-                    "did not get"
-                ),
+                f"an unknown {name} is treated as {instead}: {consequence}",
                 **source.at(function.file, node),
                 expected="an error that lists the known names",
                 got=ast.unparse(node).split("\n")[0],
                 fix=Fix("advice", "look the name up with [...], or raise an error with the known names"),
             )
+
+
+def _selects_statistics(node: ast.AST, function: Function) -> bool:
+    """Tell whether statistics are what is looked up, or what the name is then used for."""
+    statement = next((outer for outer in (node, *enclosing(node, function.up)) if isinstance(outer, ast.stmt)), node)
+    branch = function.up.get(statement)
+    looked_up = [statement, branch.test if isinstance(branch, ast.If) else statement]
+    words = {word for part in looked_up for word in _words(part)}
+    bound = {dotted(target) for target in targets(statement)} - {""}
+    for use in function.of(ast.Subscript):
+        if dotted(use.slice) in bound:
+            words |= _words(use.value)
+    return any(_STATISTICS.search(word.lower()) for word in words)
+
+
+def _words(node: ast.AST) -> set[str]:
+    """Return the names and attributes below a node, and the texts that are keys."""
+    attributes = {child.attr for child in ast.walk(node) if isinstance(child, ast.Attribute)}
+    keys = {text for child in ast.walk(node) if isinstance(child, ast.Subscript) for text in texts(child.slice)}
+    return names(node) | attributes | keys
 
 
 def _robots(function: Function) -> Iterator[tuple[ast.AST, str, str]]:
