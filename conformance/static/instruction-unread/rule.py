@@ -28,9 +28,10 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at which of `instruction` and `instructions` the functions reached from `update_obs` and `get_action` read. It
-    reports an adapter that reads one spelling only. It warns if a policy with a language input reads neither, since its
-    weights may know one task only, and if the code has a whole sentence as a fallback for the instruction. Not
-    reported: adapters that pass the whole observation on to another package.
+    reports an adapter that reads one spelling only, and one that reads neither and follows a sentence from its code. It
+    warns if a policy with another language input reads neither, since its weights may know one task only, and if the
+    code has a whole sentence as a fallback for the instruction. Not reported: adapters that pass the whole observation
+    on to another package.
 
     ## Why it matters
     Both spellings occur in practice. A policy that does not know the spelling that it gets stops, or uses a default: it
@@ -48,14 +49,16 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     adapter = ModelClass.of(source)
     if adapter.is_sdk and not {"encode", *sdk.CONTRACT_METHODS[:2]} & set(adapter.methods):
         raise NotApplicable("the base class reads the instruction")
-    yield from _sentences(source, adapter)
     functions = adapter.reach(*OBSERVING, *ACTING)
-    if any(last(called(node)) == _READS_BOTH for function in functions for node in function.of(ast.Call)):
-        return
-    if escapes(adapter):
+    reads_both = any(last(called(node)) == _READS_BOTH for function in functions for node in function.of(ast.Call))
+    may_be_read = reads_both or escapes(adapter)
+    mentioned = {text for function in functions for text in _constants(function)}
+    is_unread = not may_be_read and not mentioned & {_ONE, _MANY}
+    sentences = list(_sentences(source, adapter, is_unread=is_unread))
+    yield from sentences
+    if may_be_read or (is_unread and sentences):
         return
     read = [(function, node) for function in functions for node in _reads(function)]
-    mentioned = {text for function in functions for text in _constants(function)}
     if read and len(mentioned & {_ONE, _MANY}) == 1:
         (spelling,) = mentioned & {_ONE, _MANY}
         other = _MANY if spelling == _ONE else _ONE
@@ -114,8 +117,8 @@ def _spoken(adapter: ModelClass) -> Iterator[tuple[Function, ast.expr, str]]:
                     yield function, keyword.value, keyword.arg
 
 
-def _sentences(source: Source, adapter: ModelClass) -> Iterator[Finding]:
-    """Yield a sentence in the code that a policy acts by where nobody gave an instruction."""
+def _sentences(source: Source, adapter: ModelClass, *, is_unread: bool) -> Iterator[Finding]:
+    """Yield a sentence in the code that a policy follows without an instruction, or always if it never reads one."""
     for function in adapter.reach(*LOADING, *OBSERVING, *ACTING):
         nodes: list[ast.Assign | ast.AnnAssign | ast.Call] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
         for node in [*nodes, *function.of(ast.Call)]:
@@ -129,13 +132,19 @@ def _sentences(source: Source, adapter: ModelClass) -> Iterator[Finding]:
             sentence = constant(values[-1])
             if isinstance(sentence, str) and len(sentence.split()) >= _WORDS and "{" not in sentence:
                 yield Finding(
-                    "without an instruction the policy follows a sentence from the code, on every task; that "
+                    "the policy never reads the instruction of an observation: it follows a sentence from the code, "
+                    "or from its configuration, whatever task an environment sets"
+                    if is_unread
+                    else "without an instruction the policy follows a sentence from the code, on every task; that "
                     "may never happen",
                     **source.start(function.file, node),
-                    expected="an error if there is no instruction",
+                    expected=f"`{_ONE}` of the observation" if is_unread else "an error if there is no instruction",
                     got=repr(sentence)[:80],
                     fix=Fix(
-                        "advice", "raise an error if neither the observation nor the configuration has an instruction"
+                        "advice",
+                        "read it with xpl.observation.get_instruction(obs, required=True)"
+                        if is_unread
+                        else "raise an error if neither the observation nor the configuration has an instruction",
                     ),
-                    must=False,
+                    must=is_unread,
                 )
