@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from typing import Final
 
 from xpl_cli.audit import Edit, Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
+from xpl_cli.audit.static.syntax import called, dotted, last, targets
+
+_DELIVERS: Final = frozenset(("set_exception", "throw"))
+_STORES: Final = frozenset(("append", "put", "put_nowait", "send", "add", "appendleft"))
 
 
 @rule(code="XPL131", requirement="XPL-PKG-6")
@@ -14,7 +19,8 @@ def bare_except(source: Source) -> Iterator[Finding]:
     """A bare except hides every error, interrupts included.
 
     ## What it does
-    Looks in the adapter's Python files for `except:` and `except BaseException:` that do not raise again.
+    Looks in the adapter's Python files for `except:` and `except BaseException:` that do not raise again. Not reported:
+    an exception that is stored and raised elsewhere in the same file, as between threads.
 
     ## Why it matters
     Around an import it hides the real error: the library is installed but cannot be loaded, and a second import from
@@ -34,7 +40,7 @@ def bare_except(source: Source) -> Iterator[Finding]:
         for node in source.nodes(name) if source.parses(name) else ():
             if isinstance(node, ast.Try):
                 for handler in node.handlers:
-                    if _is_bare(handler) and not any(isinstance(child, ast.Raise) for child in ast.walk(handler)):
+                    if _is_bare(handler) and not _raises(source, name, handler):
                         imports = any(isinstance(entry, (ast.Import, ast.ImportFrom)) for entry in node.body)
                         if "/" in name and not imports:
                             continue  # the inside of a library that the adapter brings along
@@ -65,3 +71,51 @@ def _fix(source: Source, name: str, handler: ast.ExceptHandler, *, imports: bool
 
 def _is_bare(handler: ast.ExceptHandler) -> bool:
     return handler.type is None or (isinstance(handler.type, ast.Name) and handler.type.id == "BaseException")
+
+
+def _raises(source: Source, name: str, handler: ast.ExceptHandler) -> bool:
+    """Tell whether a handler raises, or keeps its exception for code of the same file that does."""
+    inside = set(ast.walk(handler))
+    if any(isinstance(child, ast.Raise) for child in inside):
+        return True
+    caught = handler.name
+    stored: set[str] = set()
+    for node in inside if caught else ():
+        if isinstance(node, (ast.Assign, ast.AnnAssign)) and node.value is not None and _is_kept(node.value, caught):
+            stored |= {_owner(target) for target in targets(node)}
+        elif isinstance(node, ast.Call) and any(_is_kept(value, caught) for value in node.args):
+            if last(called(node)) in _DELIVERS:
+                return True
+            if last(called(node)) in _STORES and isinstance(node.func, ast.Attribute):
+                stored.add(_owner(node.func.value))
+    outside = [node for node in source.nodes(name) if node not in inside]
+    raised = [node.exc for node in outside if isinstance(node, ast.Raise) and node.exc is not None]
+    if any(_names(error) & stored for error in raised):
+        return True
+    taken = {  # error = self.errors.get(); raise error
+        dotted(target)
+        for node in outside
+        if isinstance(node, (ast.Assign, ast.AnnAssign, ast.For, ast.NamedExpr))
+        and _names(node.iter if isinstance(node, ast.For) else node.value) & stored
+        for target in targets(node)
+    }
+    return any(dotted(error) in taken for error in raised if dotted(error))
+
+
+def _is_kept(value: ast.expr, caught: str | None) -> bool:
+    """Tell whether a value is the exception itself, alone or in a tuple; its text cannot be raised any more."""
+    if isinstance(value, (ast.Tuple, ast.List)):
+        return any(_is_kept(entry, caught) for entry in value.elts)
+    return isinstance(value, ast.Name) and value.id == caught
+
+
+def _owner(node: ast.expr) -> str:
+    """Return the variable or attribute that is assigned or added to: `self.errors` of `self.errors[0]`."""
+    while isinstance(node, ast.Subscript):
+        node = node.value
+    return dotted(node)
+
+
+def _names(node: ast.expr | None) -> set[str]:
+    """Return the variables and attributes below an expression, as they are written."""
+    return {dotted(child) for child in ast.walk(node)} - {""} if node is not None else set()
