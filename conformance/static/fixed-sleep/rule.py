@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.scripts.flow import PYTHONS, executed_words
+from xpl_cli.audit.static.shell import ShellCommand
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import called, constant, enclosing, parents
+from xpl_cli.audit.static.syntax import called, constant, enclosing, last, parents
 
 _FIX = Fix("advice", "wait for the server's ready line or its port, with a timeout")
+
+_SHORT_S: Final = 30.0
+"""Longest pause that harms nothing before a wait, s."""
+_CONNECTS: Final = re.compile(r"connect|client|socket|urlopen|^(?:get|recv|ping|handshake)$", re.IGNORECASE)
 
 
 @rule(code="XPL138", requirement="XPL-LOOP-5")
@@ -20,7 +27,8 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks for `sleep` in the scripts, and `time.sleep` in deploy.py, outside of loops. Inside a loop it is the interval
-    of a poll. Pauses of less than a second are not reported.
+    of a poll. Pauses of less than a second are not reported, nor those of up to half a minute before a wait: a loop
+    that polls, a script with `wait` in its name, or Python code of the adapter that connects again and again.
 
     ## Why it matters
     On a slower disk the model loads longer than on the author's, and the client finds a closed port. On a faster one
@@ -43,7 +51,8 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
                     continue  # time for a process to end
                 if command.name == "sleep" and not command.loops and len(command.arguments) > 1:
                     duration = command.arguments[1]
-                    if not re.fullmatch(r"0?\.\d+s?|0|inf(?:inity)?", duration.text):
+                    is_negligible = re.fullmatch(r"0?\.\d+s?|0|inf(?:inity)?", duration.text)
+                    if not is_negligible and not _is_before_wait(source, duration.text, commands[index + 1 :]):
                         yield Finding(
                             "the script waits a fixed time: on a slower machine the server is not ready yet",
                             path=name,
@@ -54,6 +63,40 @@ def fixed_sleep(source: Source) -> Iterator[Finding]:
                             fix=_FIX,
                         )
     yield from _in_loop(source)
+
+
+def _is_before_wait(source: Source, duration: str, later: Sequence[ShellCommand]) -> bool:
+    """Tell whether a pause is short, and what runs after it waits for readiness by itself."""
+    seconds = re.fullmatch(r"(\d+(?:\.\d*)?)s?", duration)
+    if seconds is None or float(seconds.group(1)) > _SHORT_S:
+        return False
+    return any(_waits(source, command) for command in later)
+
+
+def _waits(source: Source, command: ShellCommand) -> bool:
+    """Tell whether a command is a poll, a script that waits, or Python code that connects in a loop."""
+    words = executed_words(command)
+    if (command.name == "sleep" and command.loops) or any("wait" in word.text for word in words[:2]):
+        return command.name != "wait"  # for the end of a process
+    if not words or not (words[0].text.rpartition("/")[2] in PYTHONS or "python" in words[0].text.lower()):
+        return False
+    own = [word.text.rpartition("/")[2] for word in words[1:] if word.text.endswith(".py")]
+    files = [name for name in own if source.has(name)] or [sdk.File.MODEL_PY, sdk.File.DEPLOY_PY]
+    reached = {other for name in files for other in (name, *source.reached(name))}
+    return any(_connects_in_loop(source, name) for name in sorted(reached))
+
+
+def _connects_in_loop(source: Source, name: str) -> bool:
+    """Tell whether a file has a loop that tries to connect, and pauses between the attempts."""
+    for loop in source.nodes(name) if source.has(name) and source.parses(name) else ():
+        if not isinstance(loop, (ast.While, ast.For)):
+            continue
+        inside = list(ast.walk(loop))
+        pauses = any(last(called(node)) in {"sleep", "wait"} for node in inside)
+        attempts = [entry for node in inside if isinstance(node, ast.Try) for entry in node.body]
+        if pauses and any(_CONNECTS.search(last(called(node))) for entry in attempts for node in ast.walk(entry)):
+            return True
+    return False
 
 
 def _in_loop(source: Source) -> Iterator[Finding]:
