@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from xpl import _spec as sdk
 from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
 
@@ -73,7 +74,7 @@ def find(package: Package) -> Recipe | None:
     """
     own = package.path / CODE
     if own.is_file():
-        return Recipe(own, settings={"ckpt_name": _FOLDER})
+        return Recipe(own, settings={sdk.Deploy.CKPT_NAME: _FOLDER})
     path = content_folder("spec") / "zoo" / "tiny" / f"{package.name}.py"
     if package.manifest or not path.is_file():
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
@@ -38,11 +39,12 @@ class ZeroFallback:
 def zero_fallbacks(function: Function) -> Iterator[ZeroFallback]:
     """Yield the zeros that a function uses if a look-up in a dict fails."""
     sources = _lookup_results(function)
+    yield from _after_search(function, sources)
     for node in function.nodes:
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in {"get", "pop"}:
             if len(node.args) > 1 and (zeros := _zeros_call(node.args[1])) is not None:
                 yield ZeroFallback(
-                    function, zeros, ast.unparse(node.args[0]), dotted(node.func.value), _is_image(zeros)
+                    function, zeros, ast.unparse(node.args[0]), _owner(node.func.value), _is_image(zeros)
                 )
         elif isinstance(node, ast.If):
             yield from _branches(function, node.test, node.body, node.orelse, sources)
@@ -52,11 +54,25 @@ def zero_fallbacks(function: Function) -> Iterator[ZeroFallback]:
             for handler in node.handlers:
                 if handler.type is not None and last(dotted(handler.type)) in {"KeyError", "Exception"}:
                     for zeros in _zeros_in_branch(handler.body):
-                        read = next((dotted(child.value) for entry in node.body for child in ast.walk(entry)
-                                     if isinstance(child, ast.Subscript) and dotted(child.value)), "")  # fmt: skip
+                        read = next((_owner(child.value) for entry in node.body for child in ast.walk(entry)
+                                     if isinstance(child, ast.Subscript) and _owner(child.value)), "")  # fmt: skip
                         yield ZeroFallback(
                             function, zeros, ast.unparse(node.body[0]).split("\n")[0], read, _is_image(zeros)
                         )
+
+
+def _after_search(function: Function, sources: dict[str, str]) -> Iterator[ZeroFallback]:
+    """Yield zeros that a function returns behind a branch which returns the value, if it is there."""
+    for node in function.nodes:
+        for block in (getattr(node, name, None) for name in ("body", "orelse")):
+            for found, after in itertools.pairwise(block) if isinstance(block, list) else ():
+                if not isinstance(found, ast.If) or found.orelse or not isinstance(after, ast.Return):
+                    continue
+                returns = any(isinstance(child, ast.Return) for child in ast.walk(found))
+                zeros = _zeros_call(after.value) if after.value is not None and returns else None
+                present = [one for one in _missing_tests(found.test, sources) if not one[2]]
+                if zeros is not None and present:
+                    yield ZeroFallback(function, zeros, *present[0][:2], _is_image(zeros))
 
 
 def _branches(
@@ -87,8 +103,8 @@ def _missing_tests(test: ast.expr, sources: dict[str, str]) -> Iterator[tuple[st
         if isinstance(operator, (ast.Is, ast.IsNot)) and constant(right) is None and isinstance(left, ast.Name):
             if left.id in sources:
                 yield left.id, sources[left.id], isinstance(operator, ast.Is)
-        elif isinstance(operator, (ast.In, ast.NotIn)) and dotted(right):
-            yield ast.unparse(left), dotted(right), isinstance(operator, ast.NotIn)
+        elif isinstance(operator, (ast.In, ast.NotIn)) and _owner(right):
+            yield ast.unparse(left), _owner(right), isinstance(operator, ast.NotIn)
 
 
 def _lookup_results(function: Function) -> dict[str, str]:
@@ -107,12 +123,20 @@ def _lookup_results(function: Function) -> dict[str, str]:
 
 def _map_of(value: ast.expr) -> str:
     if isinstance(value, ast.Call) and isinstance(value.func, ast.Attribute) and value.func.attr in {"get", "pop"}:
-        return dotted(value.func.value)
+        return _owner(value.func.value)
     if isinstance(value, ast.Call):  # extract(observation, key): a function that may return nothing
         return next((f"{argument.id}()" for argument in value.args if isinstance(argument, ast.Name)), "")
     if isinstance(value, ast.IfExp):
         return _map_of(value.body) or _map_of(value.orelse)
     return ""
+
+
+def _owner(node: ast.expr) -> str:
+    """Return a map as it is written, with its constant keys as further parts: `obs.state` for `obs["state"]`."""
+    if isinstance(node, ast.Subscript) and isinstance(constant(node.slice), str):
+        outer = _owner(node.value)
+        return outer and f"{outer}.{constant(node.slice)}"
+    return dotted(node)
 
 
 def _zeros_in_branch(body: Sequence[ast.AST]) -> Iterator[ast.Call]:

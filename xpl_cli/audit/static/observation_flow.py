@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
@@ -28,6 +29,28 @@ _READ: Final = ("XPolicyLab.", "xpl.")
 
 def escapes(adapter: ModelClass) -> bool:
     """Return whether an observation, or an entry of a stored batch, is passed to a function outside of the boundary."""
+    functions, trail = _followed(adapter)
+    return any(trail.leaves(function, call) for function in functions for call in function.of(ast.Call))
+
+
+def required_keys(adapter: ModelClass) -> Iterator[tuple[Function, ast.Subscript, str]]:
+    """Yield the look-ups `observation["key"]` of a whole observation, and their keys.
+
+    A name that also holds something else, such as what an encoder returned, is left out.
+    """
+    functions, trail = _followed(adapter)
+    for function in functions:
+        local, mixed = trail.local[id(function.node)], _mixed(function, trail)
+        for node in function.of(ast.Subscript):
+            key = constant(node.slice)
+            if not isinstance(key, str) or not isinstance(node.ctx, ast.Load) or names(node.value) & mixed:
+                continue
+            if _is_whole(node.value, local, trail.stored):
+                yield function, node, key
+
+
+def _followed(adapter: ModelClass) -> tuple[list[Function], _ObservationFlow]:
+    """Return the functions that observations may reach, and where they are in these."""
     functions = {id(function.node): function for function in adapter.reach(*OBSERVING, *ACTING)}
     trail = _ObservationFlow(adapter, {key: set() for key in functions})
     for name in OBSERVING:
@@ -38,7 +61,22 @@ def escapes(adapter: ModelClass) -> bool:
     while before != (before := len(trail.stored) + sum(map(len, trail.local.values()))):
         for function in functions.values():
             trail.propagate(function)
-    return any(trail.leaves(function, call) for function in functions.values() for call in function.of(ast.Call))
+    return list(functions.values()), trail
+
+
+def _mixed(function: Function, trail: _ObservationFlow) -> set[str]:
+    """Return the names to which a function also assigns something else than an observation."""
+    local = trail.local[id(function.node)]
+    set_by: list[tuple[ast.AST, ast.expr]] = [(node, node.value) for node in function.of(ast.Assign)]
+    set_by += [(node, node.value) for node in function.of(ast.AnnAssign) if node.value is not None]
+    set_by += [(node, node.iter) for node in function.of(ast.For)]
+    return {
+        target.id
+        for node, value in set_by
+        if not _holds(value, local, trail.stored)
+        for target in targets(node)
+        if isinstance(target, ast.Name)
+    }
 
 
 @dataclass

@@ -76,8 +76,8 @@ def _stored_names(function: Function) -> set[str]:
     """Return the names of attributes that this function does not set, and the local names of these."""
     written = {write.attribute for write in function.writes}
     stored: set[str] = set()
-    for node in function.of(ast.Attribute):
-        attribute = self_attribute(node)
+    for mention in function.of(ast.Attribute):
+        attribute = self_attribute(mention)
         if attribute is not None and attribute not in written and not _INDICES.search(attribute):
             stored.add(f"self.{attribute}")
     for node in function.of(ast.Assign):  # of a name that is set twice, such as by a slice of itself, the first counts
@@ -101,7 +101,8 @@ def _is_stored(node: ast.expr, stored: set[str]) -> bool:
 def _counters(function: Function, requested: set[str]) -> set[str]:
     """Return the names that count the requested environments: of `enumerate`, or of a range as long."""
     found: set[str] = set()
-    for loop in function.of(ast.For, ast.comprehension):
+    loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
+    for loop in loops:
         if not isinstance(loop.iter, ast.Call):
             continue
         name, arguments = called(loop.iter), loop.iter.args
