@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ConfigRead, ModelClass
+from xpl_cli.audit.static.sampling import draws
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import called, constant, dotted, last, targets
 
@@ -25,7 +26,9 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Finds truth tests of the seed (`seed or 42`, `if seed:`), seeds that are stored and never used, and actions that are
-    sampled from a global generator without any use of a seed.
+    sampled from a global generator without any use of a seed. It is a warning if no code of the adapter names a seed,
+    and the code that it wraps draws numbers in a function that infers (`torch.randn` in `predict_action`): the
+    configured model may take another path.
 
     ## Why it matters
     0 is the first seed of every benchmark. `0 or 42` is 42, so that run differs from its label. If the seed is not
@@ -126,6 +129,18 @@ def _unseeded(source: Source, adapter: ModelClass) -> Iterator[Finding]:
                     fix=Fix("advice", "draw from self.rng(env) of xpl.Policy, or from a generator made from the seed"),
                 )
                 return
+    drawn_in = None if adapter.is_sdk or adapter.config_escapes else next(draws(source), None)
+    if drawn_in is not None:
+        yield Finding(
+            f"no code of the adapter reads the seed, and what it wraps samples ({drawn_in.text}): no run repeats",
+            path=drawn_in.file,
+            line=drawn_in.line,
+            column=1,
+            expected="random numbers that the run seed determines",
+            got=drawn_in.text,
+            fix=Fix("advice", "seed the generators at the start of every episode from the configuration's seed"),
+            must=False,
+        )
 
 
 def _mentions_seed(source: Source, file: str) -> bool:
