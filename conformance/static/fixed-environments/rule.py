@@ -11,7 +11,7 @@ from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.model_class import symbols
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import FunctionNode, called, constant, dotted, last, self_attribute, targets
+from xpl_cli.audit.static.syntax import FunctionNode, assigned, called, constant, dotted, last, self_attribute, targets
 
 _ENVIRONMENT: Final = re.compile(rf"{sdk.Obs.ENV_IDX}|env(ironment)?(_?id|_index)?|idx_env")
 
@@ -53,9 +53,10 @@ def _stores(source: Source, file: str, owner: ast.ClassDef) -> Iterator[Finding]
         if isinstance(child, FunctionNode)
         for node in source.function(file, child, owner).of(ast.Assign, ast.AnnAssign, ast.Subscript)
     ]
+    constants = assigned(source.tree(file).body)
     for node in nodes:
         if isinstance(node, (ast.Assign, ast.AnnAssign)):
-            size = _size(node.value) if node.value is not None else None
+            size = _size(node.value, constants) if node.value is not None else None
             for target in targets(node) if size else []:
                 name = self_attribute(target) if isinstance(target, ast.Attribute) else None
                 if name and size and node.value is not None:
@@ -75,13 +76,17 @@ def _stores(source: Source, file: str, owner: ast.ClassDef) -> Iterator[Finding]
         )
 
 
-def _size(value: ast.expr) -> int | None:
-    """Return the constant length of a list: a comprehension over range(N), or [...] * N."""
+def _size(value: ast.expr, constants: dict[str, ast.expr]) -> int | None:
+    """Return the constant length of a list: a comprehension over range(N), or [...] * N; N may be the module's."""
     size: object = None
     if isinstance(value, ast.ListComp) and len(value.generators) == 1:
         source = value.generators[0].iter
         if called(source) == "range" and isinstance(source, ast.Call) and len(source.args) == 1:
-            size = constant(source.args[0])
+            size = constant(_resolved(source.args[0], constants))
     elif isinstance(value, ast.BinOp) and isinstance(value.op, ast.Mult) and isinstance(value.left, ast.List):
-        size = constant(value.right)
+        size = constant(_resolved(value.right, constants))
     return size if isinstance(size, int) and size > 1 else None
+
+
+def _resolved(node: ast.expr, constants: dict[str, ast.expr]) -> ast.expr:
+    return constants.get(node.id, node) if isinstance(node, ast.Name) else node
