@@ -217,4 +217,4 @@ def test_every_format_tells_it(name: str, whole: MemorySet) -> None:
         (rule,) = json.loads(text)["runs"][0]["tool"]["driver"]["rules"]
         assert rule["shortDescription"]["text"] == catalogue.find("XPL706").summary
     if name == "text":
-        assert "xpl data validate demos" in text
+        assert "xpl explain XPL706" in text

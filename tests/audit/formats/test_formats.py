@@ -21,7 +21,7 @@ from xpl_cli import __version__
 from xpl_cli.audit.engine import engine
 from xpl_cli.audit.formats import ReportContext, as_json, render
 from xpl_cli.audit.formats.listing import listed_findings, repository_name
-from xpl_cli.audit.formats.next_steps import next_commands
+from xpl_cli.audit.formats.next_steps import audit_again, next_commands
 from xpl_cli.audit.formats.output import ReportOutput
 from xpl_cli.audit.formats.styled_text import OutputStyle
 from xpl_cli.audit.formats.text import on_terminal
@@ -140,10 +140,15 @@ def test_every_fingerprint_of_a_report_is_unique(context: ReportContext) -> None
 
 @pytest.mark.parametrize("count", [1, 5, 9, 12, 20, 200])
 def test_a_report_on_a_terminal_fits_one_screen(count: int, context: ReportContext) -> None:
-    """With more findings it says less of each, failures first, and how to see them all."""
+    """With more findings it says less of each, and how to see them all."""
     found = [
         Finding(
-            f"fault {number}: {'word ' * 12}", path="model.py", line=number + 1, got="x", expected="y", fix=_advice()
+            f"fault {number}: {'word ' * 12}",
+            path=f"{number}.py",
+            line=number + 1,
+            got="x",
+            expected="y",
+            fix=_advice(),
         )
         for number in range(count)
     ]
@@ -176,10 +181,10 @@ def test_many_targets_take_a_line_each_if_all_is_well(context: ReportContext) ->
 def test_next_commands_can_be_pasted(context: ReportContext) -> None:
     commands = next_commands(sample.reports(), context)
     again = ["xpl", "audit", "policy/Grün 1", "--gate", "static", "--gate", "offline"]
-    assert [shlex.split(line) for line in commands] == [
-        *(["xpl", "explain", code] for code in ("XPL101", "XPL109", "XPL110")),
-        again,
-    ]
+    explained = [["xpl", "explain", code] for code in ("XPL109", "XPL110", "XPL101")]  # the most harmful first
+    assert [shlex.split(line) for line in commands] == [*explained, again]
+    alone = next_commands(sample.reports()[:1], context)
+    assert [shlex.split(line) for line in alone] == explained  # the audit of this package was the command just given
     edit = Fix("safe_edit", "delete", (Edit("model.py", 1, 1, 2, 1, ""),))
     assert next_commands(sample.one_target(Finding("this", fix=edit)), context)[0].endswith("Foo --gate static --fix")
 
@@ -267,7 +272,7 @@ def test_commands_repeat_what_the_audit_was_asked(context: ReportContext) -> Non
     )
     report = sample.one_target(Finding("this"), path="-odd name")
     again = ["xpl", "audit", "./-odd name", "--gate", "static", "--select", "XPL1", "--fail-on", "warn"]
-    assert shlex.split(next_commands(report, wide)[-1]) == [*again, "--set", "task=stack cups"]
+    assert shlex.split(audit_again(report, wide)) == [*again, "--set", "task=stack cups"]
     passed = GateReport(Gate.STATIC, [sample.result("XPL101", Outcome.PASS)])
     green = [TargetReport("policy/Foo", "Foo", "policy", [passed])]
     assert next_commands(green, context) == ["xpl audit policy/Foo"]
@@ -277,9 +282,9 @@ def test_commands_repeat_what_the_audit_was_asked(context: ReportContext) -> Non
 @pytest.mark.parametrize(
     ("not_run", "is_unrecorded", "wanted"),
     [
-        (["XPL260"], True, ["xpl model-io record", "xpl audit"]),
-        (["XPL203", "XPL260"], True, ["xpl serve", "xpl model-io record", "xpl audit"]),
-        (["XPL260"], False, ["xpl serve", "xpl audit"]),
+        (["XPL260"], True, ["xpl model-io record"]),
+        (["XPL203", "XPL260"], True, ["xpl serve", "xpl model-io record"]),
+        (["XPL260"], False, ["xpl serve"]),
         ([], True, ["xpl model-io record", "xpl audit"]),
     ],
 )
@@ -294,22 +299,25 @@ def test_missing_golden_pairs_are_recorded_next(
     around = Circumstances(is_unrecorded=is_unrecorded)
     commands = next_commands([TargetReport("policy/Foo", "Foo", "policy", gates, circumstances=around)], wide)
     assert [line.partition(" policy/Foo")[0] for line in commands] == wanted
-    assert [line.endswith("--python py --demos demos") for line in commands] == [False] * (len(wanted) - 1) + [True]
+    assert [line.endswith("--python py --demos demos") for line in commands] == [
+        command == "xpl audit" for command in wanted
+    ]
 
 
 def test_a_terminal_gets_colours_and_lines_that_fit(context: ReportContext, monkeypatch: pytest.MonkeyPatch) -> None:
     """Words stay whole, what follows is indented, and commands are left in one piece."""
     message = "answers environment 3 when asked for 9, 環境 " * 4
-    report = sample.one_target(Finding(message, path="model.py", line=3), path=f"policy/{'long' * 30}")
+    edit = Fix("safe_edit", "delete", (Edit("model.py", 1, 1, 2, 1, ""),))
+    report = sample.one_target(Finding(message, path="model.py", line=3, fix=edit), path=f"policy/{'long' * 30}")
     plain = on_terminal(report, context, OutputStyle(60))
     coloured = on_terminal(report, context, OutputStyle(60, colour=True))
     assert re.sub(r"\x1b\[[\d;]*m", "", coloured) == plain
     assert "\x1b[1;31m" in coloured
     assert "\n      " in plain
     assert any(
-        line.startswith("  xpl audit policy/longlong") and line.endswith(" static") for line in plain.split("\n")
+        line.startswith("  xpl audit policy/longlong") and line.endswith(" static --fix") for line in plain.split("\n")
     )
-    told = plain[plain.index("    answers") : plain.index("  XPL-FINISH")]
+    told = plain[plain.index("    answers") : plain.index("    fix: delete")]
     assert " ".join(told.split()) == message.strip()
     assert max(len(line) + line.count("環") + line.count("境") for line in told.split("\n")) <= 60
     monkeypatch.setenv("FORCE_COLOR", "1")

@@ -155,9 +155,10 @@ def test_a_github_command_is_one_line_and_loses_nothing(message: str, title: str
 def test_github_gets_ten_of_a_kind_and_is_told_of_the_rest(count: int, context: ReportContext) -> None:
     """GitHub would drop them without a word."""
     reports = sample.one_target(
-        *(Finding(f"fault {number}", path="model.py", line=number + 1) for number in range(count))
+        *(Finding(f"fault {number}", path=f"{number}.py", line=number + 1) for number in range(count))
     )
-    warned = sample.result("XPL120", Outcome.WARN, *(Finding(f"doubt {number}") for number in range(count)))
+    doubts = (Finding(f"doubt {number}", path=f"{number}.yml") for number in range(count))
+    warned = sample.result("XPL120", Outcome.WARN, *doubts)
     reports[0].gates[0].results.append(warned)
     kinds = [read_command(line) for line in render("github", reports, context).splitlines()]
     assert [entry["kind"] for entry in kinds].count("error") == min(count, CAP)

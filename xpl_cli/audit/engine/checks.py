@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from contextlib import contextmanager, nullcontext
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.rules.facts import fact_names
@@ -77,8 +78,12 @@ class Checks:
         for other in prerequisites(rule):
             before = self.result(other)
             if before.outcome not in _HOLDS:
-                why = "does not hold" if before.outcome is Outcome.FAIL else f"could not be checked: {before.reason}"
-                return self._result(rule, Outcome.NOT_RUN, reason=f"it needs {other.code} {other.slug}, which {why}")
+                needs = f"it needs {other.code} {other.slug}, which"
+                if before.outcome is Outcome.FAIL:
+                    return self._result(rule, Outcome.NOT_RUN, reason=f"{needs} does not hold")
+                result = self._result(rule, Outcome.NOT_RUN, reason=f"{needs} could not be checked: {before.reason}")
+                brief = before.brief or before.reason or ""
+                return replace(result, brief=brief, advice=before.advice, lacks=before.lacks)
         return None
 
     def _run_check(self, rule: Rule) -> RuleResult:
@@ -91,7 +96,8 @@ class Checks:
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
-            return self._result(rule, Outcome.NOT_RUN, reason=str(why))
+            result = self._result(rule, Outcome.NOT_RUN, reason=str(why))
+            return replace(result, brief=why.brief, advice=why.advice, lacks=why.lacks)
         except UserError as why:  # for example a manifest that cannot be read
             return self._result(rule, Outcome.NOT_RUN, reason=" ".join(str(why).split()))
         except TooLong:

@@ -6,8 +6,10 @@ import json
 from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
+from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.coverage import Coverage
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, join_path, listed_findings, repository_name
-from xpl_cli.audit.formats.next_steps import next_commands
+from xpl_cli.audit.formats.next_steps import advice, next_commands
 from xpl_cli.audit.rules.model import (
     Finding,
     Fix,
@@ -33,15 +35,17 @@ def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
 def as_json(reports: Sequence[TargetReport], context: ReportContext) -> dict[str, object]:
     """Return the report as the map that audit.schema.json describes."""
     totals = count_outcomes(result for report in reports for result in report.results)
-    entries = listed_findings(reports, context)  # in the order in which the document names findings
+    found = list(listed_findings(reports, context))
+    entries = iter(found)  # in the order in which the document names findings
     return {
         "schema": spec.schema("audit")["title"],
         "tool": {"name": "xpl", "version": __version__},
         "spec": spec.VERSION,
-        "targets": [_target(report, entries, context) for report in reports],
+        "targets": [_target(report, entries, found, context) for report in reports],
         "summary": {outcome.value: totals[outcome] for outcome in Outcome},
         "exit_code": int(exit_code(reports, context.fail_on)),
         "next": next_commands(reports, context),
+        "advice": advice(reports, context),
     }
 
 
@@ -58,6 +62,7 @@ def finding_as_json(finding: Finding, result: RuleResult, folder: str, fingerpri
         "message": finding.message,
         "path": None if finding.path is None else join_path(folder, finding.path),
         "line": finding.line,
+        "located_by": finding.located_by,
         "column": finding.column,
         "end_line": finding.end_line,
         "end_column": finding.end_column,
@@ -70,7 +75,9 @@ def finding_as_json(finding: Finding, result: RuleResult, folder: str, fingerpri
     }
 
 
-def _target(report: TargetReport, entries: Iterator[ListedFinding], context: ReportContext) -> dict[str, object]:
+def _target(
+    report: TargetReport, entries: Iterator[ListedFinding], found: Sequence[ListedFinding], context: ReportContext
+) -> dict[str, object]:
     folder = repository_name(context.here / report.path, context.here)
     return {
         "path": report.path,
@@ -78,6 +85,18 @@ def _target(report: TargetReport, entries: Iterator[ListedFinding], context: Rep
         "kind": report.kind,
         **verdict_of(report).as_json(),
         "gates": [_gate(gate, entries, folder) for gate in report.gates],
+        "causes": [_cause(cause) for cause in causes(entry for entry in found if entry.target is report)],
+    }
+
+
+def _cause(cause: Cause) -> dict[str, object]:
+    return {
+        "harm": cause.harm.name,
+        "outcome": (Outcome.FAIL if cause.fails else Outcome.WARN).value,
+        "path": cause.located.path if cause.located.finding.path is not None else None,
+        "lines": list(cause.lines),
+        "codes": [group[0].result.code for group in cause.by_rule],
+        "findings": [entry.fingerprint for entry in cause.entries],
     }
 
 
@@ -93,7 +112,24 @@ def _gate(gate: GateReport, entries: Iterator[ListedFinding], folder: str) -> di
         "profile": gate.profile.value if gate.profile is not None else None,
         "stood_in": gate.stood_in,
         "figures": [figure.as_json() for figure in gate.measurements],
+        **_coverage(gate),
         "results": [_result(result, entries, folder) for result in gate.results],
+    }
+
+
+def _coverage(gate: GateReport) -> dict[str, object]:
+    coverage = Coverage.of(gate)
+    untried = (
+        (("not_applicable", item) for item in coverage.needless),
+        (("not_run", item) for item in coverage.prevented),
+    )
+    return {
+        "tried": list(coverage.tried),
+        "untried": [
+            {"subjects": list(item.subjects), "outcome": outcome, "reason": item.reason}
+            for group in untried
+            for outcome, item in group
+        ],
     }
 
 
@@ -105,6 +141,9 @@ def _result(result: RuleResult, entries: Iterator[ListedFinding], folder: str) -
         "severity": result.severity,
         "outcome": result.outcome.value,
         "reason": result.reason,
+        "harm": result.harm.name,
+        "subject": result.subject,
+        **({"lacks": list(result.lacks)} if result.lacks else {}),
         "findings": [finding_as_json(item, result, folder, next(entries).fingerprint) for item in result.findings],
         "waived": [
             {

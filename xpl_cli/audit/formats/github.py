@@ -1,10 +1,14 @@
-"""`github`: workflow commands, which GitHub Actions turns into annotations of a pull request."""
+"""`github`: workflow commands, which GitHub Actions turns into annotations of a pull request.
+
+Each cause is one annotation, the most harmful first.
+"""
 
 from __future__ import annotations
 
 import itertools
 from typing import TYPE_CHECKING
 
+from xpl_cli.audit.formats.causes import Cause, causes
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_findings, notes, unproven_rules, verdicts
 from xpl_cli.audit.formats.next_steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
@@ -45,12 +49,23 @@ def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
 
 def _annotations(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[tuple[str, str]]:
     """Yield kind and line of every annotation."""
-    for entry in listed_findings(reports, context):
-        kind = "error" if entry.fails else "warning"
-        yield kind, command(kind, entry.text, **_annotation_range(entry), title=entry.title)
+    for cause in causes(listed_findings(reports, context)):
+        kind = "error" if cause.fails else "warning"
+        yield kind, command(kind, _text(cause), **_annotation_range(cause.located), title=cause.title)
     for open_end in unproven_rules(reports, context):
         kind = "error" if open_end.outcome is Outcome.ERROR else "warning"
         yield kind, command(kind, f"{open_end.path}: {open_end.text}", title=open_end.title)
+
+
+def _text(cause: Cause) -> str:
+    """Return the messages and details of a cause's findings, with the rule and line of each if there are several."""
+    if len(cause.entries) == 1:
+        return cause.first.text
+    return "\n".join(f"{entry.title}{_line(entry)}: {entry.text}" for entry in cause.entries)
+
+
+def _line(entry: ListedFinding) -> str:
+    return "" if entry.finding.line is None else f", line {entry.finding.line}"
 
 
 def _annotation_range(entry: ListedFinding) -> dict[str, object]:

@@ -34,6 +34,7 @@ class ReportContext:
         selection: options that selected rules; suggested commands repeat them.
         running: options for running adapters, the same for `xpl audit`, `xpl serve` and `xpl eval`.
         demonstrations: the option `--demos`, which other commands do not have.
+        follows_review: whether another command than `command` was given, so that this one may be next.
     """
 
     here: Path = field(default_factory=Path.cwd)
@@ -43,6 +44,7 @@ class ReportContext:
     selection: tuple[str, ...] = ()
     running: tuple[str, ...] = ()
     demonstrations: tuple[str, ...] = ()
+    follows_review: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,11 @@
-"""The commands to run next."""
+"""The commands to run next, and what to do that no command does."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from xpl_cli.audit.formats.causes import causes
+from xpl_cli.audit.formats.listing import join_path, listed_findings
 from xpl_cli.audit.rules.gates import DEMONSTRATIONS, Gate
 from xpl_cli.audit.rules.model import GateReport, Outcome, TargetReport
 from xpl_cli.audit.rules.verdict import PARITY, VerdictStatus, verdict_of
@@ -19,28 +21,47 @@ _MOST_RULES = 3
 
 
 def next_commands(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
-    """Return the exact commands to run next, the audit that verifies success last.
+    """Return the exact commands to run next, never the one that was given.
 
     Each can be pasted into a shell, and repeats the options of the audit that it follows.
     """
+    given = "" if context.follows_review else audit_again(reports, context)
+    return [line for line in dict.fromkeys(_next_commands(reports, context)) if line != given]
+
+
+def advice(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
+    """Return what to do next that no command does, in sentences: what to fix first, and what the machine lacks."""
+    sentences = []
+    if len(reports) == 1 and (found := causes(listed_findings(reports, context))):
+        (report,), cause = reports, found[0]
+        place = cause.located.finding
+        if len(found) > 1 and place.path is not None and report.kind != DEMONSTRATIONS:
+            line = "" if place.line is None else f":{place.line}"
+            sentences.append(f"fix first: {join_path(report.path, place.path)}{line} ({cause.codes})")
+    results = (result for report in reports for result in report.results if result.outcome is Outcome.NOT_RUN)
+    return [*sentences, *dict.fromkeys(sentence for result in results for sentence in result.advice)]
+
+
+def _next_commands(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
     if broken := _with(reports, Outcome.FAIL):
         again = audit_again(broken, context)
         repair = [f"{again} --fix"] if any(map(_has_safe_fix, broken)) else []
-        return [*repair, *_explain_commands(broken, Outcome.FAIL), again]
+        return [*repair, *_explain_findings(broken, context), again]
     if crashed := _with(reports, Outcome.ERROR):
         return [*_explain_commands(crashed, Outcome.ERROR), audit_again(crashed, context)]
     if incomplete := [report for report in reports if verdict_of(report).status is VerdictStatus.INCOMPLETE]:
         unread = [report for report in incomplete if any(_static_gate_failed(gate) for gate in report.gates)]
         served = [report for report in incomplete if report not in unread and report.kind != DEMONSTRATIONS]
         commands = [
-            _command_that_shows_why(report, context)
+            command
             for report in served
             if not _needs_move(report) and _lacks_more(report)
+            for command in _commands_for_what_lacks(report, context)
         ]
         explained = _explain_commands(unread, Outcome.NOT_RUN)
         return [*explained, *commands, *_record_commands(served, context), audit_again(incomplete, context)]
     return [
-        *_explain_commands(reports, Outcome.WARN),
+        *_explain_findings(reports, context),
         *_record_commands(reports, context),
         *_commands_after_green(reports, context),
     ]
@@ -79,16 +100,32 @@ def _lacks_more(report: TargetReport) -> bool:
     return {item.code for gate in started for item in gate.results if item.outcome is Outcome.NOT_RUN} != of_pairs
 
 
-def _command_that_shows_why(report: TargetReport, context: ReportContext) -> str:
-    """Return the command that shows or installs what a package needs to run."""
+def _commands_for_what_lacks(report: TargetReport, context: ReportContext) -> list[str]:
+    """Return the commands that install or fetch what a package lacks; the one that shows why, if that is not known."""
     path = _paths([report.path])
-    return command(
-        ["xpl", "install", *path] if report.kind == package.ENV else ["xpl", "serve", *path, *context.running]
-    )
+    lacks = {kind for result in report.results for kind in result.lacks}
+    if report.kind == package.ENV or "environment" in lacks:
+        return [command(["xpl", "install", *path])]
+    if "hub" in lacks:
+        return [command(["xpl", "checkpoint", "fetch", *path])]
+    return [] if lacks else [command(["xpl", "serve", *path, *context.running])]
 
 
 def _with(reports: Iterable[TargetReport], outcome: Outcome) -> list[TargetReport]:
     return [report for report in reports if any(result.outcome is outcome for result in report.results)]
+
+
+def _explain_findings(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
+    """Return the commands that explain the rules with the most harmful findings; of a failed audit the failures."""
+    found = causes(listed_findings(reports, context))
+    fails = any(cause.fails for cause in found)
+    codes = dict.fromkeys(
+        entry.result.code
+        for cause in sorted(found, key=lambda cause: cause.harm.rank)
+        for entry in cause.entries
+        if entry.fails or not fails
+    )
+    return [f"xpl explain {code}" for code in list(codes)[:_MOST_RULES]]
 
 
 def _explain_commands(reports: Iterable[TargetReport], outcome: Outcome) -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING
 
+from xpl_cli.audit.formats.causes import causes
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, SourceLines, listed_findings, unproven_rules
 from xpl_cli.audit.rules.model import Outcome
 from xpl_cli.basics.untrusted import without_links
@@ -21,7 +22,8 @@ if TYPE_CHECKING:
 def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
     """Return the report as one JSON document."""
     lines = SourceLines()
-    diagnostics = [_diagnostic(entry, lines) for entry in listed_findings(reports, context)]
+    found = causes(listed_findings(reports, context))
+    diagnostics = [_diagnostic(entry, lines) for cause in found for entry in cause.entries]
     diagnostics += [
         {
             "message": without_links(entry.text),

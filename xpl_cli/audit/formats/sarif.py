@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__
+from xpl_cli.audit.formats.causes import Cause, causes
 from xpl_cli.audit.formats.linehash import line_hashes
 from xpl_cli.audit.formats.listing import (
     ListedFinding,
@@ -79,7 +80,11 @@ def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
                 for _, path, said in verdicts(reports, context)
             ]
         },
-        "results": [_result(entry, rule_indices, hashes) for entry in listed_findings(reports, context)],
+        "results": [
+            _result(entry, cause, rule_indices, hashes)
+            for cause in causes(listed_findings(reports, context))
+            for entry in cause.entries
+        ],
     }
     return json.dumps({"$schema": _SCHEMA, "version": "2.1.0", "runs": [run]}, indent=2, ensure_ascii=False)
 
@@ -115,7 +120,9 @@ def _describe_rule(rule: Rule | type[DemonstrationCheck]) -> dict[str, object]:
     }
 
 
-def _result(entry: ListedFinding, rule_indices: dict[str, int], hashes: _LineHashCache) -> dict[str, object]:
+def _result(
+    entry: ListedFinding, cause: Cause, rule_indices: dict[str, int], hashes: _LineHashCache
+) -> dict[str, object]:
     finding = entry.finding
     # Code scanning distinguishes alerts by this one key. If there is no line to compute it from, it is our own.
     line_hash = hashes.of(entry.disk, finding) or f"{entry.fingerprint}:1"
@@ -126,7 +133,12 @@ def _result(entry: ListedFinding, rule_indices: dict[str, int], hashes: _LineHas
         "message": {"text": without_links(entry.text)},
         "locations": [{"physicalLocation": _physical(entry)}],
         "partialFingerprints": {"primaryLocationLineHash": line_hash, "xplFinding/v1": entry.fingerprint},
-        "properties": {"gate": entry.gate.name.value, "requirement": entry.result.requirement},
+        "properties": {
+            "gate": entry.gate.name.value,
+            "requirement": entry.result.requirement,
+            "harm": entry.result.harm.name,
+            "cause": cause.first.fingerprint,
+        },
     }
     if finding.fix is not None and finding.fix.edits:
         result["fixes"] = [{"description": {"text": finding.fix.text}, "artifactChanges": _changes(entry)}]

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final, TypedDict
 
+from xpl_cli.audit.rules.harm import Harm
 from xpl_cli.basics.errors import ExitCode
+from xpl_cli.standard import spec
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -25,6 +27,10 @@ SHARED: Final = "shared"
 """Key of evidence: whether the golden pairs have the same finding, so that both may have one mistake."""
 CLAMPED: Final = "clamped"
 """Key of evidence: share of the commands of a rollout that the environment clamped."""
+TRACEBACK: Final = "traceback"
+"""What located a finding: the innermost line of the package's own files in the traceback of the adapter's error."""
+HANDLER: Final = "handler"
+"""What located a finding: nothing was raised, and the line is that of the method which answered."""
 _NUMBER = re.compile(r"[-+]?\b\d+(\.\d+)?(e[-+]?\d+)?")
 
 
@@ -44,7 +50,22 @@ class NotApplicable(Exception):  # noqa: N818 - an outcome, not an error
 
 
 class NotRun(Exception):  # noqa: N818 - an outcome, not an error
-    """Raised by a rule that cannot run, or a fact that is not available; the argument says why."""
+    """Raised by a rule that cannot run, or a fact that is not available.
+
+    Args:
+        reason: why, in full.
+        brief: why, in a few words without paths; the reason itself by default.
+        advice: what the user can do about it, in sentences without full stops.
+        lacks: kinds of what the machine lacks, such as `module` and `checkpoint`.
+    """
+
+    def __init__(
+        self, reason: str = "", *, brief: str = "", advice: tuple[str, ...] = (), lacks: tuple[str, ...] = ()
+    ) -> None:
+        super().__init__(reason)
+        self.brief = brief
+        self.advice = advice
+        self.lacks = lacks
 
 
 @dataclass(frozen=True)
@@ -107,6 +128,7 @@ class Finding:
         fix: what to do.
         must: whether it fails. None: by the level of the rule's requirement. True: although that is a SHOULD. False: it
             only warns although that is a MUST, since it is not certain; the message then says why.
+        located_by: what the line is, if the rule itself did not say one: `TRACEBACK` or `HANDLER`.
     """
 
     message: str
@@ -120,6 +142,7 @@ class Finding:
     evidence: Numbers | None = None
     fix: Fix | None = None
     must: bool | None = None
+    located_by: str | None = None
 
     def fingerprint(self, code: str, path: str | None = None, occurrence: int = 1) -> str:
         """Return an identity that survives edits elsewhere in the file: rule, file and message without numbers.
@@ -162,6 +185,10 @@ class RuleResult:
         code, slug, requirement, severity: the rule's.
         findings: violations that count.
         reason: why the rule did not apply or run, or how it crashed.
+        brief: the root of that reason in a few words, if it is shorter; rules with one root share it.
+        advice: what the user can do so that the rule runs.
+        lacks: kinds of what the machine lacks so that it could not run, such as `module`.
+        tries: what the rule tries, as a noun phrase; empty for what its requirement is about.
         waived: accepted violations; they change no outcome.
         proof: what was proved, in numbers; None with findings, or if the rule yields none.
     """
@@ -175,6 +202,21 @@ class RuleResult:
     reason: str | None = None
     waived: tuple[Waived, ...] = ()
     proof: Numbers | None = None
+    brief: str = ""
+    advice: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
+    tries: str = ""
+
+    @property
+    def harm(self) -> Harm:
+        """What a package does that the rule finds."""
+        return Harm.of(self.requirement)
+
+    @property
+    def subject(self) -> str:
+        """What the rule tries, as a noun phrase."""
+        requirement = spec.requirements().get(self.requirement)
+        return self.tries or ("" if requirement is None else requirement.area)
 
     @property
     def explain(self) -> str:

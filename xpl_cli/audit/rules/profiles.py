@@ -25,11 +25,13 @@ class ServedProfile:
         name: the profile.
         reason: why it is not the real model; None if it is, or if the user chose the shadow.
         env: environment of the adapter in place of the one that its manifest names, as for `xpl serve --env`.
+        lacks: kinds of what the real model lacks here, such as `module`.
     """
 
     name: Profile = Profile.FULL
     reason: str | None = None
     env: str | None = None
+    lacks: tuple[str, ...] = ()
 
     @property
     def is_shadow(self) -> bool:

@@ -232,7 +232,8 @@ class GateSummary:
     @classmethod
     def of(cls, gate: GateReport) -> Self:
         """Return the summary of a gate's report."""
-        of = {outcome: tuple(item.code for item in gate.results if item.outcome is outcome) for outcome in Outcome}
+        by_harm = sorted(gate.results, key=lambda item: item.harm)
+        of = {outcome: tuple(item.code for item in by_harm if item.outcome is outcome) for outcome in Outcome}
         unstarted_reason = next((item.reason for item in gate.results if item.reason), None)
         return cls(
             name=gate.name.value,

@@ -87,9 +87,7 @@ class Servers(ABC):
             try:
                 self._server = self.start_server()
             except ServerStartError as error:
-                raise NotRun(
-                    serving_choice.explain_failure(self.choice, error, self.config, self.package.path)
-                ) from None
+                raise serving_choice.not_served(self.choice, error, self.config, self.package.path) from None
         if self.end_reason is not None:
             raise NotRun(f"the server has ended: {self.end_reason}")
         return self._server

@@ -62,10 +62,11 @@ class ServiceRun:
         Raises:
             NotRun: if it does not start.
         """
-        with contextlib.suppress(NotRun):
+        try:
             probe.server()  # fixes the choice; this server may have ended already, which rules report
-        if probe.start_problem is not None:
-            raise NotRun(f"the server did not start: {probe.start_problem}")
+        except NotRun:
+            if probe.start_problem is not None:
+                raise
         run = cls()
         try:
             with probe.unforked_server({sdk.Deploy.SEED: USUAL_SEED}) as server:

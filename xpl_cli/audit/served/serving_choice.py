@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from xpl import checkpoint
+from xpl_cli.audit.rules.model import NotRun
 from xpl_cli.audit.rules.profiles import Profile, ServedProfile
 from xpl_cli.serving.launch import MissingRequirement
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from xpl_cli.audit.rules.options import AuditOptions
@@ -34,9 +35,11 @@ _REAL = (
     "checkpoint: a tiny one with random weights will do"
 )
 """Advice for an adapter that has no shadow."""
+_INTERPRETER = "name the interpreter that has its libraries: --python FILE"
 _HELP = {
-    _MODULE: _REAL,
-    _CHECKPOINT: "fetch it, or name it with --set ckpt_name=...; a tiny one with random weights will do, too",
+    _MODULE: _INTERPRETER,
+    "library": _INTERPRETER,
+    _CHECKPOINT: "fetch the checkpoint, or name one with --set ckpt_name=NAME: tiny random weights will do",
     _HUB: "name it in `hub` of policy.yml, and `xpl checkpoint fetch` brings it",
     "env_cfg": "audit it beside its benchmark, or name a robot of the standard with --set env_cfg_type=NAME",
     "upstream": "run the adapter's install.sh",
@@ -65,12 +68,13 @@ def next_choice(choice: ServedProfile, problem: ServerStartError, options: Audit
     is_uninstalled = problem.lacks.kind == _ENVIRONMENT
     if is_uninstalled and (options.python or options.env):
         return None
-    return ServedProfile(Profile.SHADOW, describe_missing(problem.lacks), "none" if is_uninstalled else None)
+    env = "none" if is_uninstalled else None
+    return ServedProfile(Profile.SHADOW, describe_missing(problem.lacks), env, (problem.lacks.kind,))
 
 
-def explain_failure(
+def not_served(
     choice: ServedProfile, problem: ServerStartError, config: Mapping[str, object], policy_dir: Path
-) -> str:
+) -> NotRun:
     """Return why an adapter could not be served, with advice.
 
     Args:
@@ -80,15 +84,35 @@ def explain_failure(
         policy_dir: its folder.
     """
     if problem.lacks is None:
-        return f"the server did not start: {problem}"
+        return NotRun(f"the server did not start: {problem}")
     kind, why = problem.lacks.kind, describe_missing(problem.lacks)
     if not choice.is_shadow:
-        return "; ".join(filter(None, (why, _HELP.get(kind), "--shadow audits one of xpl.Policy without the model")))
-    before = choice.reason or ""
+        helps = _advice((kind,))
+        parts = (why, *helps, "--shadow audits one of xpl.Policy without the model")
+        return NotRun("; ".join(parts), brief=_brief(why), advice=helps, lacks=(kind,))
+    before, lacks = choice.reason or "", choice.lacks
     if kind == _WHOLE:
-        return "; ".join(filter(None, (before, _describe_missing_checkpoint(before, config, policy_dir), why, _REAL)))
-    advice = "; import it in load" if kind == _MODULE else ""
-    return f"{before}{'; in shadow mode: ' if before else ''}{why}{advice}"
+        missing = _describe_missing_checkpoint(before, config, policy_dir)
+        lacks = (*lacks, *((_CHECKPOINT,) if missing else ()))
+        return NotRun(
+            "; ".join(filter(None, (before, missing, why, _REAL))),
+            brief="; ".join(filter(None, (_brief(before), _brief(missing)))) or why,
+            advice=_advice(lacks) or (_REAL,),
+            lacks=lacks,
+        )
+    later = "; import it in load" if kind == _MODULE else ""
+    reason = f"{before}{'; in shadow mode: ' if before else ''}{why}{later}"
+    return NotRun(reason, brief=_brief(why), advice=_advice((kind,)), lacks=(*lacks, kind))
+
+
+def _advice(lacks: Iterable[str]) -> tuple[str, ...]:
+    """Return what to do about kinds of missing things."""
+    return tuple(dict.fromkeys(_HELP[kind] for kind in lacks if kind in _HELP))
+
+
+def _brief(description: str) -> str:
+    """Return a description without the paths that were tried and the advice."""
+    return description.partition(": tried ")[0].partition("; `xpl checkpoint fetch`")[0]
 
 
 def _describe_missing_checkpoint(described: str, config: Mapping[str, object], policy_dir: Path) -> str:

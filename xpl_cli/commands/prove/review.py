@@ -99,6 +99,7 @@ def review(
             progress=say,
         )
         context = ReportContext(
+            follows_review=True,
             fail_on=mildest,
             selection=(
                 *(part for name in selected for part in ("--select", name)),
