@@ -106,3 +106,11 @@ def test_a_constant_of_another_type_is_named(adapter: Path, tmp_path: Path) -> N
     path.write_text("import os\nSETTINGS = os.environ\n")
     with pytest.raises(UserError, match=r"Bare\.py:2: SETTINGS must be a literal dict"):
         recipes.find(package.load(adapter))
+
+
+def test_an_input_is_measured_with_the_same_random_numbers(adapter: Path, tmp_path: Path) -> None:
+    """An adapter that samples by a global generator would seem to read every input."""
+    noise = MODEL.replace("np.tanh(state[:6] @ self.weights)", "np.tanh(0 * state[:6] + np.random.normal(0, 1, 6))")
+    (adapter / "model.py").write_text(noise.format(read=READ))
+    made = tiny.make(package.load(adapter), tmp_path / "made", tiny.TinyOptions())
+    assert set(made.effects.values()) == {0.0}

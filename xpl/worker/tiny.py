@@ -156,6 +156,8 @@ def _answer(model: Any, episode: Sequence[Any]) -> np.ndarray:
     """
     if isinstance(model, Policy):
         model._episodes = EpisodeCounter()  # noqa: SLF001 - its seeds are those of the first episode again
+    else:  # which may draw from global generators
+        _seed(0)
     model.reset()
     for observation in episode:
         model.update_obs(copy_value(observation))
