@@ -7,9 +7,12 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.candidates import nested_listings, substitutes
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import LOADING, ModelClass
+from xpl_cli.audit.static.scripted_candidates import scripted_substitutes
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import (
     assigned,
@@ -41,8 +44,10 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks, in what `load` reaches, for directory listings that are searched by a prefix (`run-1` also matches
-    `run-1-other` and `run-10`); for functions that get the requested step and, without an error if it is missing,
-    select an entry by position, such as the last; and for files that are taken from any neighbouring run that has one.
+    `run-1-other` and `run-10`), or through all folders below; for functions that get the requested step and, without an
+    error if it is missing, select an entry by position, such as the last; for files that are taken from any
+    neighbouring run that has one; for lists of places, in code and in scripts, of which the first that exists is taken,
+    although it does not depend on what was asked for; and for a `ckpt_name` that no code reads.
 
     ## Why it matters
     The results of an evaluation are then those of other weights than its label says. It happens, unnoticed, if a
@@ -58,6 +63,15 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     No automatic fix.
     """
     adapter = ModelClass.of(source)
+    yield from _substituted(source, adapter)
+    if not adapter.is_sdk and _is_unread(source, adapter):
+        yield Finding(
+            f"no code reads {sdk.Deploy.CKPT_NAME}: whichever checkpoint is asked for, the same one is evaluated",
+            **source.start(adapter.file, adapter.node),
+            expected=f"the checkpoint that {sdk.Deploy.CKPT_NAME} names, or an error",
+            got="a configuration of which other keys are read",
+            fix=Fix("advice", "xpl.checkpoint.resolve(config, policy_dir) finds it by the order of the standard"),
+        )
     for function in adapter.reach(*LOADING):
         listed = [node for node in function.of(ast.Call) if last(called(node)) in _LISTS]
         for node, prefix in (*_prefixes(function, listed), *_patterns(listed)):
@@ -85,6 +99,53 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
                 got=ast.unparse(loop).split("\n")[0],
                 fix=Fix("advice", "look in the checkpoint's own folder only, and raise an error"),
             )
+
+
+def _substituted(source: Source, adapter: ModelClass) -> Iterator[Finding]:
+    """Yield files that are taken although they are not what was asked for."""
+    expected = "an error that names the missing checkpoint"
+    fix = Fix("advice", "look for what was asked for only, and raise an error if it is missing")
+    for one in substitutes(adapter):
+        yield Finding(
+            f"if {one.asked} does not exist, {ast.unparse(one.node)} is loaded in its place",
+            **source.at(one.function.file, one.node),
+            expected=expected,
+            got=ast.unparse(one.node),
+            fix=fix,
+        )
+    for function, call, pattern in nested_listings(adapter):
+        yield Finding(
+            f"{pattern} is searched through all folders below: the checkpoint of another run, or a copy, may be loaded",
+            **source.at(function.file, call),
+            expected="the files directly in the folder of the checkpoint",
+            got=ast.unparse(call),
+            fix=fix,
+        )
+    for found in scripted_substitutes(source):
+        yield Finding(
+            f"of {found.asked} and {found.other} the first that exists is used, which may not be what was asked for",
+            path=found.file,
+            line=found.line,
+            column=1,
+            expected=expected,
+            got=found.other,
+            fix=fix,
+        )
+
+
+def _is_unread(source: Source, adapter: ModelClass) -> bool:
+    """Tell whether neither the adapter, nor helpers that get its configuration, nor its script use ckpt_name."""
+    key = sdk.Deploy.CKPT_NAME
+    if adapter.config_escapes or adapter.config_helpers or not adapter.settings:
+        return False
+    for name in source.python_files:
+        nodes = source.nodes(name) if source.parses(name) else ()
+        if any(key in (getattr(node, "value", None), getattr(node, "attr", None)) for node in nodes):
+            return False
+    script = sdk.File.SETUP_EVAL_POLICY_SERVER_SH
+    lines = source.text(script).split("\n") if source.has(script) else []
+    used = (line for line in lines if re.search(rf"\$\{{?{key}\b", line))
+    return not any(not re.search(rf"\b{key}=|^\s*(?:echo|printf)\b", line) for line in used)
 
 
 def _prefixes(function: Function, listed: list[ast.Call]) -> Iterator[tuple[ast.Call, str]]:

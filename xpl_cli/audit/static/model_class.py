@@ -201,6 +201,17 @@ class ModelClass:
             for node in function.nodes
         )
 
+    @cached_property
+    def config_helpers(self) -> frozenset[str]:
+        """Functions of the ecosystem that get the whole configuration, and read keys of the standard from it."""
+        return frozenset(
+            last(called(node))
+            for function, is_config in self._config_readers
+            for node in function.of(ast.Call)
+            if any(is_config(_unwrap_copy(value)) for value in _values(node))
+            if origin(self.source, function.file, called(node)).startswith(_ECOSYSTEM)
+        )
+
     def _passes_on_config(self, function: Function, node: ast.AST, is_config: Callable[[ast.AST], bool]) -> bool:
         if isinstance(node, ast.keyword) and node.arg is None:
             return is_config(node.value)
