@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import brief, difference, error_code
+from xpl_cli.audit.served.compare import brief, difference, is_answer_list, raised, same
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.recorded_client import Answer
+from xpl_cli.basics.phrases import count_noun
 
 
 @rule(code="XPL204", requirement="XPL-BAT-2")
@@ -33,19 +35,33 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     envs = [4, 2]
     batch = probe.observations(envs)
     listed, implied, empty = (probe.batch_answer(batch, indices) for indices in (envs, None, []))
-    if error_code(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
-        follows = "an evaluation stops" if error_code(empty) else "a second get_action_batch on one batch works"
+    if raised(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
+        ended = "all of its environments have ended"
         yield blame(
-            f"get_action_batch([]) does not return []: {follows} when all of its environments have ended",
+            f"get_action_batch([]) raises {raised(empty)}: an evaluation stops when {ended}"
+            if raised(empty)
+            else f"get_action_batch([]) does not return []: a second get_action_batch on one batch works when {ended}",
             expected="[]",
-            got=brief(empty),
+            got=raised(empty) or brief(empty),
             fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` treats an empty list as missing"),
         )
     mismatch = difference(listed, implied)
-    if mismatch is not None:
+    if mismatch is not None and raised(listed) is None:
         yield blame(
-            "get_action_batch(None) does not follow the order of the last batch: robots receive each other's commands",
+            f"get_action_batch(None) {_describe(implied, listed, envs)}",
             expected=f"the answer for {envs}",
-            got=mismatch,
+            got=raised(implied) or mismatch,
             fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
         )
+
+
+def _describe(implied: Answer, listed: Answer, envs: Sequence[int]) -> str:
+    """Return what is wrong with an answer for all environments, and what follows."""
+    if raised(implied):
+        return f"raises {raised(implied)}: a client that lists no environments gets no action"
+    if not isinstance(implied, (list, tuple)) or len(implied) != len(envs):
+        count = count_noun(len(implied), "chunk") if isinstance(implied, (list, tuple)) else brief(implied)
+        return f"answers {count} for {len(envs)} observed environments: robots get no command, or one of another"
+    if is_answer_list(listed, len(envs)) and all(any(same(chunk, other) for other in listed) for chunk in implied):
+        return "does not follow the order of the last batch: robots receive each other's commands"
+    return f"gives other actions than get_action_batch({envs}): they depend on the form of a call"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeGuard
+from typing import TYPE_CHECKING, Any, Final, TypeGuard
 
 import numpy as np
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 _TOLERANCE = 1e-6
 """Actions of equal inputs may differ by this much on a CPU; rounding.py measures what batches of a GPU do."""
+_LONGEST: Final = 120
+"""Longest text of an error in a message, characters."""
 
 
 def error_code(answer: object) -> str | None:
@@ -64,6 +66,14 @@ def _array_difference(first: object, second: object, allowed: float) -> str | No
         worst = float(np.nanmax(np.abs(a.astype(float) - b.astype(float))))
         return f"{brief(first)} against {brief(second)} (largest difference {worst:.3g})"
     return None if np.array_equal(a, b) else f"{brief(first)} against {brief(second)}"
+
+
+def raised(answer: object) -> str | None:
+    """Return what a policy raised, such as `KeyError: 'env_idx'`; None if an answer is no error."""
+    if not isinstance(answer, PolicyServerError):
+        return None
+    text = " ".join(str(answer).removeprefix(f"{answer.code}: ").split())
+    return text if len(text) <= _LONGEST else f"{text[: _LONGEST - 3]}..."
 
 
 def is_answer_list(value: object, count: int | None = None) -> TypeGuard[Sequence[Any]]:

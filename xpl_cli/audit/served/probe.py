@@ -206,24 +206,22 @@ class Probe(Servers):
             return policy.act(obs)
 
     def batch_answer(self, observations: Sequence[object], envs: Sequence[int] | None) -> Answer:
-        """Return the repeatable answer to `get_action_batch(envs)` after a batch of observations in a new episode."""
+        """Return the repeatable answer to `get_action_batch(envs)` after a batch of observations in a new episode.
+
+        An error of `update_obs_batch` is the answer, too: what follows it has another cause.
+        """
         with self.run() as policy:
             policy.reset()
-            policy.update_obs_batch(observations)
-            return policy.get_action_batch(envs)
+            return policy.act_batch_at_once(observations, envs)
 
     def batch_episode(self, envs: Sequence[int], steps: int = 3, instruction: str | None = None) -> list[Answer]:
         """Run a repeatable episode of some environments in one batch; return the answer of every step.
 
         Each environment has its own instruction, or all have one.
         """
-        answers = []
         with self.run() as policy:
             policy.reset()
-            for step in range(steps):
-                policy.update_obs_batch(self.observations(envs, step, instruction))
-                answers.append(policy.get_action_batch(envs))
-        return answers
+            return [policy.act_batch_at_once(self.observations(envs, step, instruction), envs) for step in range(steps)]
 
     def batch_difference(self, first: object, second: object) -> str | None:
         """Describe where answers to equal observations, in batches of other sizes, differ by more than rounding.

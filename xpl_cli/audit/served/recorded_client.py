@@ -127,6 +127,13 @@ class RecordedClient:
         update_answer = self.update_obs(obs)
         return update_answer if isinstance(update_answer, PolicyServerError) else self.get_action()
 
+    def act_batch_at_once(self, observations: Sequence[object], env_idx_list: Sequence[int] | None) -> Answer:
+        """Send a batch of observations and return the chunks of some environments, or the first error."""
+        update_answer = self.update_obs_batch(observations)
+        if isinstance(update_answer, PolicyServerError):
+            return update_answer
+        return self.get_action_batch(env_idx_list)
+
     def prepare_case(self, case: Config) -> Answer:
         """Call `prepare_case` with a case; None where the adapter has no such hook."""
         return self._recorder.request(sdk.Message.PREPARE_CASE, lambda: self._client.prepare_case(**case))
