@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import brief, error_code
+from xpl_cli.audit.served.compare import brief, error_code, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.recorded_client import Answer
+from xpl_cli.basics.phrases import count_noun
 
 
 @rule(code="XPL205", requirement="XPL-BAT-3")
@@ -30,17 +32,38 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.require_answer()
-    for indices, what in (([3, 8], "environment 8, which was never observed"), ([3, 3], "environment 3 twice")):
+    observed = [3, 7]
+    for indices in ([3, 8], [3, 3]):
         with probe.session() as policy:
             policy.reset()
-            policy.update_obs_batch(probe.observations([3, 7]))
-            answer = policy.get_action_batch(indices)
+            known = policy.act_batch_at_once(probe.observations(observed), observed)
+            policy.reset()
+            answer = policy.act_batch_at_once(probe.observations(observed), indices)
         if error_code(answer) is None:
             yield blame(
-                f"for {what} the adapter returns an action instead of an error",
+                f"get_action_batch({indices}) {_describe(indices, answer, known)}",
                 expected="an error that names the environment",
                 got=brief(answer),
                 fix=Fix(
                     "advice", "raise an error for an environment index without an observation, and for a repeated one"
                 ),
             )
+
+
+def _describe(indices: Sequence[int], answer: Answer, known: Answer) -> str:
+    """Return what an adapter answers where it has to refuse, and what follows."""
+    unseen = "an off-by-one error of a launcher stays unnoticed"
+    if not is_answer_list(answer, len(indices)):
+        count = count_noun(len(answer), "chunk") if isinstance(answer, (list, tuple)) else brief(answer)
+        return f"answers {count} for {len(indices)} indices without an error: chunks no longer match environments"
+    if len(set(indices)) < len(indices):
+        twice = "answers environment 3 twice" if same(*answer) else "gives environment 3 two different chunks"
+        return f"{twice} without an error: a launcher that lists one environment twice stays unnoticed"
+    source = next(
+        (env for env, chunk in zip((3, 7), known, strict=False) if same(answer[1], chunk))
+        if is_answer_list(known)
+        else (),
+        None,
+    )
+    what = "an action that it makes up" if source is None else f"the action for environment {source}"
+    return f"gives environment 8, which was never observed, {what}: {unseen}"
