@@ -7,8 +7,9 @@ from collections.abc import Iterator
 from xpl import _spec as spec
 from xpl.contract import ObservationDict
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import difference, error_code, same
+from xpl_cli.audit.served.compare import difference, error_code, is_answer_list, raised, same
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.recorded_client import Answer
 
 
 @rule(code="XPL206", requirement="XPL-BAT-4", compares=True)
@@ -35,19 +36,21 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
     """
     probe.require_answer()
     episodes = []
+    refused: str | None = None
     for bare in (False, True):
         with probe.run() as policy:
             policy.reset()
             answered = []
             for step, indices in enumerate(([0, 1], [1])):
                 batch = probe.observations([0, 1], step)
-                policy.update_obs_batch([_bare(obs) for obs in batch] if bare else batch)
+                taken = policy.update_obs_batch([_bare(obs) for obs in batch] if bare else batch)
+                refused = refused or (raised(taken) if bare else None)
                 answered.append(policy.get_action_batch(indices))
             episodes.append(answered)
     mismatch = difference(*episodes)
     if mismatch is not None:
         yield blame(
-            "observations without env_idx are not distinguished by position: one environment overwrites another",
+            _describe(*episodes, refused),
             expected="the same actions as with env_idx 0 and 1",
             got=mismatch,
             evidence={"asked": [[0, 1], [1]]},
@@ -66,6 +69,26 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
             evidence={"indices": [1, None], "asked": [1]},
             fix=Fix("advice", "refuse a batch of which only some observations have env_idx"),
         )
+
+
+def _describe(indexed: list[Answer], bare: list[Answer], refused: str | None) -> str:
+    """Return what becomes of a batch without indices.
+
+    Args:
+        indexed: the answers with indices.
+        bare: those without.
+        refused: what update_obs_batch raises without them, or None.
+    """
+    if refused is not None:
+        return f"update_obs_batch raises {refused} for a batch without env_idx, although the key is optional"
+    pairs = list(zip(indexed, bare, strict=True))
+    error = next((raised(answer) for usual, answer in pairs if raised(answer) and not raised(usual)), None)
+    if error is not None:
+        return f"observations without env_idx are not numbered by position: get_action_batch then raises {error}"
+    usual, answer = pairs[0]
+    if is_answer_list(usual, 2) and is_answer_list(answer, 2) and same(*answer) and not same(*usual):
+        return "observations without env_idx are not numbered by position: one environment overwrites another"
+    return "a batch without env_idx gives other actions than the same observations with env_idx 0 and 1, by position"
 
 
 def _bare(obs: ObservationDict) -> ObservationDict:
