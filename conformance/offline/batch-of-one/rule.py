@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
-from xpl_cli.audit.served.compare import difference, first_step, is_answer_list
+from xpl_cli.audit.served.compare import difference, first_step, is_answer_list, raised
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -15,7 +15,8 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
 
     ## What it does
     Runs one episode of environment 5 with `update_obs` and `get_action`, with `update_obs_batch` and
-    `get_action_batch([5])`, and with `get_action_batch(None)`, and compares the chunks of every step.
+    `get_action_batch([5])`, and with `get_action_batch(None)`, and compares the chunks of every step. That None raises
+    is XPL204's finding, not one of this rule.
 
     ## Why it matters
     Benchmarks use either form; `eval_batch` in deploy.yml decides. If the two prepare inputs separately, they diverge,
@@ -39,16 +40,20 @@ def batch_of_one(probe: Probe) -> Iterator[Finding]:
         single = [[chunk] for chunk in probe.episode(policy, env)]
     with probe.run() as policy:
         policy.reset()
-        implied = []
-        for step in range(len(batch)):
-            policy.update_obs_batch(probe.observations([env], step))
-            implied.append(policy.get_action_batch(None))
-    for form, episode in (("get_action()", single), ("get_action_batch(None)", implied)):
+        implied = [policy.act_batch_at_once(probe.observations([env], step), None) for step in range(len(batch))]
+    forms = [("get_action()", single)]
+    if all(raised(answer) is None for answer in implied):  # else XPL204 reports it
+        forms.append(("get_action_batch(None)", implied))
+    for form, episode in forms:
         for step, (expected, answer) in enumerate(zip(batch, episode, strict=True)):
             mismatch = difference(expected, answer)
             if mismatch is not None:
+                error = next((raised(entry) for entry in answer if raised(entry)), None) if answer else None
                 yield blame(
-                    f"{form} gives environment {env} other actions than get_action_batch([{env}]), from step "
+                    f"{form} raises {error} at step {step}, where get_action_batch([{env}]) answers: the same episode "
+                    "ends in an error unless an evaluation is batched"
+                    if error
+                    else f"{form} gives environment {env} other actions than get_action_batch([{env}]), from step "
                     f"{step} on: the score depends on whether an evaluation is batched",
                     expected=f"the actions of get_action_batch([{env}])",
                     got=mismatch,
