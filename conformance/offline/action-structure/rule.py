@@ -6,18 +6,20 @@ from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.offline.motion import MotionAnswer, MotionEpisode, MotionEpisodes
-from xpl_cli.audit.served.compare import shapes
-from xpl_cli.audit.served.probe import blame
+from xpl_cli.audit.rules.profiles import ServedProfile
+from xpl_cli.audit.served.compare import shapes, structure_problem
+from xpl_cli.audit.served.probe import Probe, blame
 
 
 @rule(code="XPL202", requirement="XPL-ACT-1")
-def action_structure(motions: MotionEpisodes) -> Iterator[Finding]:
+def action_structure(motions: MotionEpisodes, profile: ServedProfile, probe: Probe) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment requires.
 
     ## What it does
     Serves the adapter for every embodiment and action type that its manifest declares, runs three steps of an episode
     with each action executed, then requests a batch of two environments, and checks each action step: exact keys,
-    dimensions, finite values, unit quaternions, grippers between 0 and 1.
+    dimensions, finite values, unit quaternions, grippers between 0 and 1. In shadow mode, an answer that is no list is
+    a warning unless policy.yml declares the `shape` of `shadow`: the mock's output may have other axes.
 
     ## Why it matters
     A robot with other dimensions gets truncated or shifted commands; a controller that gets a NaN stops or, worse,
@@ -41,8 +43,11 @@ def action_structure(motions: MotionEpisodes) -> Iterator[Finding]:
     for problem, ((motion, answer), *others) in alike.items():
         too = [f"{other.action_type} for {other.embodiment.name}" for other, _ in others]
         dims = motion.embodiment.dims(motion.action_type)
+        is_of_mock = _is_of_mock(answer, profile, probe)
+        why = ", which may come from the mock in place of the model: declare the shape of its output as `shadow`"
         yield blame(
             f"{motion.action_type} actions for {motion.embodiment.name} cannot be executed: {problem}"
+            + (why if is_of_mock else "")
             + (f"; likewise {', '.join(too)}" if too else ""),
             expected=", ".join(f"{key} ({dim},)" for key, dim in dims.items()),
             got=f"{answer.where}: {shapes(answer.chunk)}",
@@ -50,4 +55,14 @@ def action_structure(motions: MotionEpisodes) -> Iterator[Finding]:
                 "advice",
                 "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
             ),
+            must=False if is_of_mock else None,
         )
+
+
+def _is_of_mock(answer: MotionAnswer, profile: ServedProfile, probe: Probe) -> bool:
+    """Tell whether an answer that is no list may be one only because a mock of undeclared shape ran."""
+    if not profile.is_shadow or probe.package.manifest.shadow.shape:
+        return False
+    return "must be a list of action steps" in (
+        structure_problem(answer.chunk, probe.embodiment, probe.action_type) or ""
+    )

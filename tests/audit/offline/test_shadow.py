@@ -179,6 +179,21 @@ def test_a_raw_output_of_another_shape_is_declared(package: Path) -> None:
     assert _outcomes(_gate(_offline(package)))["action-structure"] == "pass"
 
 
+@pytest.mark.slow
+def test_one_action_in_place_of_a_chunk_is_no_failure_of_a_mock_of_undeclared_shape(package: Path) -> None:
+    """A decode may expect another axis; once the shape is declared, the answer counts."""
+    first = """
+    def decode(self, raw, obs, env):
+        return super().decode(raw, obs, env)[0]
+"""
+    results = {result.slug: result for result in _gate(_offline(package, SPLIT + first)).results}
+    assert results["action-structure"].outcome is Outcome.WARN, results["action-structure"].findings
+    assert "which may come from the mock" in results["action-structure"].findings[0].message
+    manifest = package / "policy.yml"
+    manifest.write_text(manifest.read_text(encoding="utf-8") + "\nshadow: {shape: [8, 14]}\n", encoding="utf-8")
+    assert _outcomes(_gate(_offline(package)))["action-structure"] == Outcome.FAIL.value
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize(
     ("old", "new", "told"),
