@@ -14,6 +14,7 @@ from xpl_cli.audit.served.probe import Probe
 
 _MADE_UP = "{faults}, the policy continues with a made-up value of {name} instead of stopping"
 _UNREAD = "{faults}, the policy continues instead of stopping: {name}, which the manifest requires, is never used"
+_UNCLEAR = "{faults}, the policy stops, but its error does not say that {name} is missing"
 _FIX = Fix("advice", "read required fields with xpl.observation, which raises, and never default to zeros")
 _TEXT = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True), which raises")
 
@@ -25,8 +26,8 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## What it does
     Leaves out each input that the manifest requires, one at a time: the whole of it, the values of one arm, the image
     of a declared camera, everything of its group. The result must be an error that names what is missing. Without a
-    manifest, the cameras and states on which the action depends count as required; since they are not declared, that is
-    a warning.
+    manifest, the cameras and states on which the action depends count as required; since they are not declared, going
+    on is a warning, and any error will do.
 
     ## Why it matters
     A black image in place of a camera that is unplugged or has another name gives plausible motion and a low score; the
@@ -52,7 +53,7 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
                 policy,
                 missing(obs, name) if name in there else (),
                 goes_on=_UNREAD if name in unseen else _MADE_UP,
-                unclear="{faults}, the policy stops, but its error does not say that {name} is missing",
+                unclear=_UNCLEAR if probe.required else None,
                 fix=_TEXT if name == spec.Obs.INSTRUCTION else _FIX,
             ):
                 yield finding if probe.required else replace(finding, must=False)

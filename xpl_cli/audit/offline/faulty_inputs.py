@@ -76,7 +76,7 @@ def damaged(obs: ObservationDict, name: str) -> Iterator[FaultyInput]:
 
 
 def judge(
-    policy: RecordedClient, cases: Iterable[FaultyInput], *, goes_on: str, unclear: str, fix: Fix
+    policy: RecordedClient, cases: Iterable[FaultyInput], *, goes_on: str, unclear: str | None, fix: Fix
 ) -> Iterator[Finding]:
     """Show an adapter faulty observations, and yield what it does instead of refusing them with a clear error.
 
@@ -85,19 +85,20 @@ def judge(
         cases: the observations.
         goes_on: what to say where it answers with an action; `{name}` and `{faults}` stand for the input and what was
             wrong with it.
-        unclear: what to say where it refuses with an error that does not name the input.
+        unclear: what to say where it refuses with an error that does not name the input; None to say nothing.
         fix: advice.
     """
     failures: dict[tuple[str, str], list[tuple[FaultyInput, Answer]]] = {}
     for case in cases:
         answer = policy.act(case.obs)
         refused = isinstance(answer, PolicyServerError)
-        if not (refused and case.is_named_by(answer)):
-            failures.setdefault((case.name, unclear if refused else goes_on), []).append((case, answer))
-    for (name, message), entries in failures.items():
+        message = unclear if refused else goes_on
+        if message is not None and not (refused and case.is_named_by(answer)):
+            failures.setdefault((case.name, message), []).append((case, answer))
+    for (name, text), entries in failures.items():
         case, answer = entries[0]
         yield blame(
-            message.format(name=name, faults=", ".join(entry.fault for entry, _ in entries)),
+            text.format(name=name, faults=", ".join(entry.fault for entry, _ in entries)),
             expected=f"an error that names {case.names[0]}",
             got=f"{case.fault}: {answer if isinstance(answer, PolicyServerError) else brief(answer)}",
             fix=fix,
