@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING
+import platform
+from pathlib import Path
 
 import pytest
 
 from xpl.variables import set_declared
 from xpl_cli.standard.validate import validate
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 DECLARED = {"variables": {"AUTHORS_HOME": "{checkpoint}/home", "AUTHORS_THREADS": "1"}}
 
@@ -29,6 +27,26 @@ def test_a_folder_of_the_checkpoint_is_named_where_it_has_one(tmp_path: Path) ->
     assert (os.environ["AUTHORS_HOME"], os.environ["AUTHORS_THREADS"]) == ("before", "1")
     set_declared(tmp_path, {"ckpt_name": "tiny"}, DECLARED)
     assert os.environ["AUTHORS_HOME"] == str(tmp_path / "checkpoints" / "tiny" / "home")
+
+
+def test_what_libraries_compile_lies_in_the_cache_by_the_kind_of_processor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XPL_CACHE", str(tmp_path))
+    set_declared(tmp_path, {}, {"variables": {"AUTHORS_HOME": "{cache}/jax"}})
+    folder = Path(os.environ["AUTHORS_HOME"])
+    assert folder.name == "jax"
+    assert folder.parents[1] == tmp_path / "compiled"
+    assert folder.parent.name.startswith(platform.machine())
+
+
+def test_without_a_home_folder_a_cache_is_not_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError
+
+    monkeypatch.setattr("xpl.user_cache.folder", homeless)
+    set_declared(tmp_path, {}, {"variables": {"AUTHORS_HOME": "{cache}/jax"}})
+    assert os.environ["AUTHORS_HOME"] == "before"
 
 
 @pytest.mark.parametrize("environment", [None, {}, {"variables": None}, {"manager": "uv"}])

@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, Self
 
+from xpl import user_cache
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.basics.sizes import format_size, size_of
 from xpl_cli.isolation import plan, processes, seccomp
@@ -141,6 +142,7 @@ class Isolation:
         """Return the command's environment variables; full isolation has private home, temporary and cache folders."""
         if self.folder is None:
             return dict(outside)
+        outside = {name: value for name, value in outside.items() if name != user_cache.VARIABLE}
         home = Path(outside.get("HOME", "/"))
         caches = {name: str(home / path) for name, path in _HOME_FOLDERS.items() if (home / path).is_dir()}
         inside = {"HOME": self.folder / "home", "TMPDIR": self.folder / "tmp", "XDG_CACHE_HOME": self.folder / "cache"}
