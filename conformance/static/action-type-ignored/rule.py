@@ -12,6 +12,7 @@ from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACTING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import dotted, last, targets, texts
+from xpl_cli.audit.static.unread import is_unread
 
 _KEY = sdk.Deploy.ACTION_TYPE
 _SUFFIXES = {sdk.State.ARM_JOINT_STATE: "joint", sdk.State.EE_POSE: "ee"}
@@ -23,9 +24,9 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at how `action_type` is used: a comparison that only logs a warning, by `print` or a logger, and adapters that
-    write the keys of one action type and never read `action_type`, even if they store it. Not reported: adapters that
-    pass the whole configuration on or raise an error, and adapters of the SDK whose manifest declares one type, since
-    the base class refuses the other.
+    write the keys of one action type and never read `action_type`, even if they store it, or read only other keys of
+    the configuration. Not reported: adapters that pass the whole configuration on or raise an error, and adapters of
+    the SDK whose manifest declares one type, since the base class refuses the other.
 
     ## Why it matters
     A run labelled `ee` was a run with joint commands, or an environment that expects a pose gets none. The client does
@@ -60,7 +61,15 @@ def action_type_ignored(source: Source) -> Iterator[Finding]:
     idle = _idle(functions)
     if not adapter.config_escapes and not any(_mentions(function, idle) for function in functions):
         written = _written(adapter)
-        if written is not None:
+        if written is None and not adapter.is_sdk and is_unread(adapter, _KEY):
+            yield Finding(
+                f"no code reads {_KEY}: a run with the other type gets the same actions, under its label",
+                **source.start(adapter.file, adapter.node),
+                expected=f"a decision by {_KEY}, or an error for a type that cannot be served",
+                got="a configuration of which other keys are read",
+                fix=Fix("advice", f"raise an error unless {_KEY} is the one that the policy serves"),
+            )
+        elif written is not None:
             function, key, kind = written
             yield Finding(
                 f"{_KEY} is never used, and actions are always of type {kind}: a run with the other type gets "

@@ -25,6 +25,7 @@ from xpl_cli.audit.static.syntax import (
     parameters,
     targets,
 )
+from xpl_cli.audit.static.unread import is_unread
 
 _LISTS: Final = frozenset(("listdir", "iterdir", "glob", "rglob", "iglob", "scandir"))
 _EXISTS: Final = frozenset(("is_file", "exists", "isfile", "is_dir", "isdir"))
@@ -64,7 +65,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     """
     adapter = ModelClass.of(source)
     yield from _substituted(source, adapter)
-    if not adapter.is_sdk and _is_unread(source, adapter):
+    if not adapter.is_sdk and is_unread(adapter, sdk.Deploy.CKPT_NAME):
         yield Finding(
             f"no code reads {sdk.Deploy.CKPT_NAME}: whichever checkpoint is asked for, the same one is evaluated",
             **source.start(adapter.file, adapter.node),
@@ -131,21 +132,6 @@ def _substituted(source: Source, adapter: ModelClass) -> Iterator[Finding]:
             got=found.other,
             fix=fix,
         )
-
-
-def _is_unread(source: Source, adapter: ModelClass) -> bool:
-    """Tell whether neither the adapter, nor helpers that get its configuration, nor its script use ckpt_name."""
-    key = sdk.Deploy.CKPT_NAME
-    if adapter.config_escapes or adapter.config_helpers or not adapter.settings:
-        return False
-    for name in source.python_files:
-        nodes = source.nodes(name) if source.parses(name) else ()
-        if any(key in (getattr(node, "value", None), getattr(node, "attr", None)) for node in nodes):
-            return False
-    script = sdk.File.SETUP_EVAL_POLICY_SERVER_SH
-    lines = source.text(script).split("\n") if source.has(script) else []
-    used = (line for line in lines if re.search(rf"\$\{{?{key}\b", line))
-    return not any(not re.search(rf"\b{key}=|^\s*(?:echo|printf)\b", line) for line in used)
 
 
 def _prefixes(function: Function, listed: list[ast.Call]) -> Iterator[tuple[ast.Call, str]]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.loops import loops, passes_on, policy_calls
+from xpl_cli.audit.static.loops import ENDS, EXECUTES, OPERATIONS, foreign_attributes, loops, passes_on, policy_calls
 from xpl_cli.audit.static.model_class import RESET
 from xpl_cli.audit.static.source import Source
 
@@ -23,7 +23,8 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     ## What it does
     Collects what the evaluation functions call on the client by `call(func_name=...)`: only operations of the contract
     and the methods that policy.yml declares are allowed; the first one has to be `reset`. A call has one argument,
-    `obs`, which also carries the list of environments.
+    `obs`, which also carries the list of environments. Of the environment it looks for attributes that no environment
+    of the standard offers.
 
     ## Why it matters
     A server refuses other names, and a benchmark's client has no other methods. Without a reset the first action of an
@@ -40,6 +41,16 @@ def wire_operations(source: Source) -> Iterator[Finding]:
     """
     operations = {*sdk.CONTRACT_METHODS, *sdk.HOOKS, *source.manifest.methods}
     for function in loops(source):
+        foreign = foreign_attributes(function)
+        if foreign:
+            named = ", ".join(dict.fromkeys(node.attr for node in foreign))
+            yield Finding(
+                f"{function.name} needs {named} of the environment, which no other environment has: AttributeError",
+                **source.at(function.file, foreign[0]),
+                expected=", ".join(sorted(OPERATIONS)),
+                got=ast.unparse(foreign[0]),
+                fix=Fix("advice", f"play the chunk with {EXECUTES[0]}, and read {ENDS[0]}"),
+            )
         first: ast.Call | None = None
         for node, name in sorted(policy_calls(function), key=lambda entry: (entry[0].lineno, entry[0].col_offset)):
             is_call = isinstance(node.func, ast.Attribute) and node.func.attr == sdk.Message.CALL

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _TASK_ENV: Final = spec.data("package")["task_env"]
 EXECUTES: Final = tuple(_TASK_ENV["executes"])
 ENDS: Final = tuple(_TASK_ENV["ends"])
+OPERATIONS: Final = frozenset(_TASK_ENV["operations"])
 UPDATES: Final = (UPDATE, UPDATE_BATCH)
 
 
@@ -62,6 +63,16 @@ def environment_calls(node: ast.AST, function: Function, names: tuple[str, ...])
             continue
         if child.func.attr in names and _is(child.func.value, environment):
             yield child
+
+
+def foreign_attributes(function: Function) -> list[ast.Attribute]:
+    """Return what a loop calls or reads of the environment that the standard does not have."""
+    environment = _environment(function)
+    return [
+        node
+        for node in function.of(ast.Attribute)
+        if _is(node.value, environment) and isinstance(node.ctx, ast.Load) and node.attr not in OPERATIONS
+    ]
 
 
 def sends_observation(node: ast.AST, function: Function) -> bool:
