@@ -15,7 +15,7 @@ _WITHOUT = {"instruction": "blank", "history": "with the newest observation only
 """What is shown instead of an input."""
 
 
-@rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",))
+@rule(code="XPL270", requirement="XPL-ACT-12", after=("serves",), tries="demonstrations")
 def demonstrations_fit(demonstrations: DemonstrationComparison) -> Iterator[Finding | Proof]:
     """Demonstrations match another convention than the declared one.
 

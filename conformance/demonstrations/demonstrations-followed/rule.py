@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.demonstrations.fact import DemonstrationComparison
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL271", requirement="XPL-OBS-7", after=("serves",))
+@rule(code="XPL271", requirement="XPL-OBS-7", after=("serves",), tries="demonstrations")
 def demonstrations_followed(demonstrations: DemonstrationComparison) -> Iterator[Finding]:
     """The policy predicts demonstrations no better than holding the pose.
 

@@ -13,7 +13,7 @@ SEEDS = (3, 8)
 TOLERANCE = 1e-5
 
 
-@rule(code="XPL411", gate="offline", requirement="XPL-ENV-10", after=("env-runs",))
+@rule(code="XPL411", gate="offline", requirement="XPL-ENV-10", after=("env-runs",), tries="batches against single runs")
 def env_batch(env_probe: EnvProbe) -> Iterator[Finding]:
     """The episode of an environment depends on the others in its batch.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
 LIMIT, SEED = 5, 3
 
 
-@rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-runs",))
+@rule(code="XPL406", gate="offline", requirement="XPL-ENV-13", after=("env-runs",), tries="ends of episodes")
 def env_ends(env_probe: EnvProbe) -> Iterator[Finding]:
     """An episode continues beyond its step limit, or has no valid result.
 

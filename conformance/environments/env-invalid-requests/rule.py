@@ -19,7 +19,7 @@ ACCIDENTS = frozenset(
 )
 
 
-@rule(code="XPL412", gate="offline", requirement="XPL-ENV-11", after=("env-runs",))
+@rule(code="XPL412", gate="offline", requirement="XPL-ENV-11", after=("env-runs",), tries="invalid requests")
 def env_invalid_requests(env_probe: EnvProbe) -> Iterator[Finding]:
     """An invalid request is accepted, or refused only by an accidental exception.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
 from xpl_cli.audit.environments.observed_episode import ObservedEpisode, difference
 
 
-@rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-runs",))
+@rule(code="XPL414", gate="offline", requirement="XPL-ENV-14", after=("env-runs",), tries="the last frame")
 def env_last_frame(env_probe: EnvProbe) -> Iterator[Finding]:
     """`get_obs_batch(last_frame=True)` does not return the previous observation.
 

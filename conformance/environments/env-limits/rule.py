@@ -15,7 +15,7 @@ from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, RunningEnv, mo
 GIVE = 0.05  # rad, and part of the gripper's range: what a simulated joint may give at its stop
 
 
-@rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-runs",))
+@rule(code="XPL413", gate="offline", requirement="XPL-ENV-12", after=("env-runs",), tries="commands beyond the limits")
 def env_limits(env_probe: EnvProbe) -> Iterator[Finding]:
     """A guarded environment executes an action beyond its robot's limits, or silently another action.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
 from xpl_cli.audit.environments.observations import problems
 
 
-@rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-runs",))
+@rule(code="XPL405", gate="offline", requirement="XPL-ENV-3", after=("env-runs",), tries="observations")
 def env_observations(env_probe: EnvProbe) -> Iterator[Finding]:
     """An observation does not conform to the standard: a value is missing, or has another shape, type, unit or range.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit import Finding, rule
 from xpl_cli.audit.environments.env_probe import EnvProbe, Offer
 
 
-@rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-runs",))
+@rule(code="XPL415", gate="offline", requirement="XPL-ENV-15", after=("env-runs",), tries="simulator ground truth")
 def env_privileged(env_probe: EnvProbe) -> Iterator[Finding]:
     """Observations contain simulator ground truth that was not requested, or lack what env.yml declares.
 

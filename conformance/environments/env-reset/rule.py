@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.observed_episode import difference
 SEED = 3
 
 
-@rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-runs",))
+@rule(code="XPL410", gate="offline", requirement="XPL-ENV-9", after=("env-runs",), tries="resets")
 def env_reset(env_probe: EnvProbe) -> Iterator[Finding]:
     """An episode depends on the previous one.
 

@@ -13,7 +13,13 @@ from xpl_cli.audit.environments.observed_episode import ObservedEpisode, differe
 LIMIT = 4
 
 
-@rule(code="XPL407", gate="offline", requirement="XPL-ENV-7", after=("env-runs",))
+@rule(
+    code="XPL407",
+    gate="offline",
+    requirement="XPL-ENV-7",
+    after=("env-runs",),
+    tries="the list of running environments",
+)
 def env_running_list(env_probe: EnvProbe) -> Iterator[Finding]:
     """An environment whose episode has ended stays in the running list, or still moves.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit import Finding, NotRun, rule
 from xpl_cli.audit.environments.env_probe import EnvProbe, Offer, motion
 
 
-@rule(code="XPL404", gate="offline", requirement="XPL-ENV-6")
+@rule(code="XPL404", gate="offline", requirement="XPL-ENV-6", tries="every task and robot")
 def env_runs(env_probe: EnvProbe) -> Iterator[Finding]:
     """The environment cannot be created, reset or stepped in a combination that env.yml declares.
 

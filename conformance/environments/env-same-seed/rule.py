@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.observed_episode import difference
 SEED = 3
 
 
-@rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-runs",))
+@rule(code="XPL408", gate="offline", requirement="XPL-ENV-4", after=("env-runs",), tries="equal seeds")
 def env_same_seed(env_probe: EnvProbe) -> Iterator[Finding]:
     """The same seed and the same actions do not give the same episode.
 

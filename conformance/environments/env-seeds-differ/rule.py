@@ -11,7 +11,7 @@ from xpl_cli.audit.environments.observed_episode import difference
 SEEDS = (0, 1, 2, 3)
 
 
-@rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-runs",))
+@rule(code="XPL409", gate="offline", requirement="XPL-ENV-8", after=("env-runs",), tries="other seeds")
 def env_seeds_differ(env_probe: EnvProbe) -> Iterator[Finding]:
     """All seeds give the same episode.
 

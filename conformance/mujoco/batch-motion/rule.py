@@ -17,7 +17,7 @@ _SEEDS = (3, 4)
 TOLERANCE = 1e-5  # float32 commands
 
 
-@rule(code="XPL305", requirement="XPL-SIM-5")
+@rule(code="XPL305", requirement="XPL-SIM-5", tries="batches against single runs")
 def batch_motion(simulation: Simulation) -> Iterator[Finding]:
     """Two environments in one batch move differently from single ones.
 

@@ -14,7 +14,7 @@ JOINT_FLOOR, POSITION_FLOOR = 0.1, 0.03  # rad, m: smaller changes are no jump
 RATIO = 5.0
 
 
-@rule(code="XPL304", requirement="XPL-SIM-4", profile="full")
+@rule(code="XPL304", requirement="XPL-SIM-4", profile="full", tries="boundaries of chunks")
 def chunk_boundaries(simulation: Simulation) -> Iterator[Finding]:
     """Commands jump between one action chunk and the next.
 

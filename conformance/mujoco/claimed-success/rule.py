@@ -11,7 +11,7 @@ from xpl_cli.audit.physics.success_rates import USUAL_EPISODES, claimed_rates, m
 from xpl_cli.audit.rules.measurements import ENVIRONMENT
 
 
-@rule(code="XPL311", requirement="XPL-SIM-11", profile="full")
+@rule(code="XPL311", requirement="XPL-SIM-11", profile="full", tries="claimed success rates")
 def claimed_success(simulation: Simulation) -> Iterator[Finding]:
     """The manifest claims a success rate that differs from the measured one.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.served.probe import blame
 TOLERATED = 0.05
 
 
-@rule(code="XPL302", requirement="XPL-SIM-2", profile="full")
+@rule(code="XPL302", requirement="XPL-SIM-2", profile="full", tries="limits of commands")
 def clamped_commands(simulation: Simulation) -> Iterator[Finding]:
     """The environment clamps many of the commands.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.rules.measurements import ENVIRONMENT
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL301", requirement="XPL-SIM-1")
+@rule(code="XPL301", requirement="XPL-SIM-1", tries="whole rollouts")
 def closed_loop(simulation: Simulation) -> Iterator[Finding]:
     """A rollout in physics ends with an error.
 

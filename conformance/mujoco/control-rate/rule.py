@@ -13,7 +13,7 @@ from xpl_cli.audit.served.probe import blame
 _RATE = "control_frequency"
 
 
-@rule(code="XPL310", requirement="XPL-SIM-10", profile="full")
+@rule(code="XPL310", requirement="XPL-SIM-10", profile="full", tries="control rates")
 def control_rate(simulation: Simulation) -> Iterator[Finding]:
     """In a rollout the robot waits for the policy.
 

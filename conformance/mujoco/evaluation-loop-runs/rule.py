@@ -11,7 +11,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL312", requirement="XPL-SIM-12")
+@rule(code="XPL312", requirement="XPL-SIM-12", tries="the loop of deploy.py")
 def evaluation_loop_runs(simulation: Simulation) -> Iterator[Finding]:
     """The adapter's own evaluation loop does not run an episode to its end.
 

@@ -26,7 +26,7 @@ _TRIED = 4
 _COMPARE = "compare the model's gripper input, and the meaning of its output, with the authors' own code"
 
 
-@rule(code="XPL307", requirement="XPL-SIM-7", profile="full")
+@rule(code="XPL307", requirement="XPL-SIM-7", profile="full", tries="grippers")
 def gripper_contradiction(simulation: Simulation) -> Iterator[Finding]:
     """The gripper moves against the policy's apparent intention.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL309", requirement="XPL-SIM-9")
+@rule(code="XPL309", requirement="XPL-SIM-9", tries="the newest observation")
 def newest_observation(simulation: Simulation) -> Iterator[Finding]:
     """The policy acts on an older observation than the newest one.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.physics.simulation import Simulation
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL308", requirement="XPL-SIM-8", profile="full")
+@rule(code="XPL308", requirement="XPL-SIM-8", profile="full", tries="conventions of poses")
 def pose_convention(simulation: Simulation) -> Iterator[Finding]:
     """Actions and observations use different conventions.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.served.probe import blame
 TOLERATED = 0.05
 
 
-@rule(code="XPL306", requirement="XPL-SIM-6", profile="full")
+@rule(code="XPL306", requirement="XPL-SIM-6", profile="full", tries="reach")
 def reachable(simulation: Simulation) -> Iterator[Finding]:
     """End-effector targets are out of reach.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.served.probe import blame
 _SEED = 1
 
 
-@rule(code="XPL303", requirement="XPL-SIM-3")
+@rule(code="XPL303", requirement="XPL-SIM-3", tries="equal seeds")
 def same_seed_same_motion(simulation: Simulation) -> Iterator[Finding]:
     """Equal seeds give different motion.
 

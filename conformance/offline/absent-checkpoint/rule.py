@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL251", requirement="XPL-CKP-1", profile="full")
+@rule(code="XPL251", requirement="XPL-CKP-1", profile="full", tries="other checkpoints")
 def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
     """A checkpoint or a training step that does not exist is replaced by another one.
 

@@ -13,7 +13,7 @@ _SHOWN = 4
 """Findings that are made at most; one cause changes many keys."""
 
 
-@rule(code="XPL227", requirement="XPL-OBS-5")
+@rule(code="XPL227", requirement="XPL-OBS-5", tries="forms of observations")
 def action_aliases_observation(in_process_run: InProcessRun) -> Iterator[Finding]:
     """An action shares memory with an observation.
 

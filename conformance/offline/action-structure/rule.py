@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import shapes, structure_problem
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL202", requirement="XPL-ACT-1")
+@rule(code="XPL202", requirement="XPL-ACT-1", tries="shapes of actions")
 def action_structure(motions: MotionEpisodes, profile: ServedProfile, probe: Probe) -> Iterator[Finding]:
     """Actions lack keys, dimensions or finite values that the embodiment requires.
 

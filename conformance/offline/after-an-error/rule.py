@@ -11,7 +11,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code, first_st
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL222", requirement="XPL-EPI-1")
+@rule(code="XPL222", requirement="XPL-EPI-1", tries="errors within an episode")
 def after_an_error(probe: Probe) -> Iterator[Finding]:
     """An error in one episode affects the next one.
 

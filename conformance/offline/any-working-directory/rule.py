@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL253", requirement="XPL-CKP-3")
+@rule(code="XPL253", requirement="XPL-CKP-3", tries="another working directory")
 def any_working_directory(configurations: Configurations) -> Iterator[Finding]:
     """The adapter depends on the working directory of its process.
 

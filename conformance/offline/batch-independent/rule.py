@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL207", requirement="XPL-BAT-5", compares=True)
+@rule(code="XPL207", requirement="XPL-BAT-5", compares=True, tries="batches in other orders and sizes")
 def batch_independent(probe: Probe) -> Iterator[Finding]:
     """Environments of one batch influence each other.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.recorded_client import Answer
 from xpl_cli.basics.phrases import count_noun
 
 
-@rule(code="XPL204", requirement="XPL-BAT-2")
+@rule(code="XPL204", requirement="XPL-BAT-2", tries="empty batches and unknown environments")
 def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     """None and the empty list are confused.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import difference, first_step, is_answer_list,
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL219", requirement="XPL-BAT-7", compares=True)
+@rule(code="XPL219", requirement="XPL-BAT-7", compares=True, tries="batches in other orders and sizes")
 def batch_of_one(probe: Probe) -> Iterator[Finding]:
     """A batch of one environment gives other actions than a single call.
 

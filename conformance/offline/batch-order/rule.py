@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import brief, describe_wrong_batch, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL203", requirement="XPL-BAT-1", compares=True)
+@rule(code="XPL203", requirement="XPL-BAT-1", compares=True, tries="batches in other orders and sizes")
 def batch_order(probe: Probe) -> Iterator[Finding]:
     """A batch returns actions of other environments than the requested ones.
 

@@ -24,6 +24,7 @@ _COMPARED = (3, 0)
     requirement="XPL-BAT-5",
     after=("batch-order", "batch-none-and-empty", "batch-independent"),
     compares=True,
+    tries="batches in other orders and sizes",
 )
 def batch_shrinks(probe: Probe) -> Iterator[Finding]:
     """The actions of an environment change after other environments of its batch have ended.

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.recorded_client import Answer
 from xpl_cli.basics.phrases import count_noun
 
 
-@rule(code="XPL205", requirement="XPL-BAT-3")
+@rule(code="XPL205", requirement="XPL-BAT-3", tries="empty batches and unknown environments")
 def batch_unknown(probe: Probe) -> Iterator[Finding]:
     """An unknown or repeated environment gets an action instead of an error.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
 
 
-@rule(code="XPL206", requirement="XPL-BAT-4", compares=True)
+@rule(code="XPL206", requirement="XPL-BAT-4", compares=True, tries="observations without env_idx")
 def batch_without_index(probe: Probe) -> Iterator[Finding]:
     """Observations without env_idx are confused or refused.
 

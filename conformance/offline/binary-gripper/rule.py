@@ -17,7 +17,7 @@ _EXACT = 1e-3
 """How near a command is to closed or open when it is meant: float32 and its way over the wire."""
 
 
-@rule(code="XPL256", requirement="XPL-ACT-17", profile="full")
+@rule(code="XPL256", requirement="XPL-ACT-17", profile="full", tries="grippers")
 def binary_gripper(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     """A gripper that is declared binary gets a command between closed and open.
 

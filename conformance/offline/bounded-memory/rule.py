@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.memory import long_episode
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL223", requirement="XPL-EPI-6")
+@rule(code="XPL223", requirement="XPL-EPI-6", tries="long episodes and histories")
 def bounded_memory(probe: Probe) -> Iterator[Finding]:
     """The memory of an episode grows with every step.
 

@@ -8,7 +8,7 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL252", requirement="XPL-CKP-2", profile="full")
+@rule(code="XPL252", requirement="XPL-CKP-2", profile="full", tries="other checkpoints")
 def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
     """Serving the adapter changes files of its checkpoint.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL236", requirement="XPL-ACT-7")
+@rule(code="XPL236", requirement="XPL-ACT-7", tries="shapes of actions")
 def chunk_length(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     """The length of an action chunk is not the declared one.
 

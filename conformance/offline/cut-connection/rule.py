@@ -15,7 +15,7 @@ _CUTS = (None, "confirmation", "action", "observation", None)
 """What is lost in each step of the episode."""
 
 
-@rule(code="XPL228", requirement="XPL-SRV-2", compares=True)
+@rule(code="XPL228", requirement="XPL-SRV-2", compares=True, tries="broken connections")
 def cut_connection(probe: Probe) -> Iterator[Finding]:
     """An episode differs after the connection was cut.
 

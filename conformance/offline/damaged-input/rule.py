@@ -11,7 +11,7 @@ from xpl_cli.audit.served.changed_inputs import present
 from xpl_cli.audit.served.probe import Probe
 
 
-@rule(code="XPL235", requirement="XPL-OBS-8")
+@rule(code="XPL235", requirement="XPL-OBS-8", tries="missing and damaged inputs")
 def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """An invalid value of a required input is passed on to the model.
 

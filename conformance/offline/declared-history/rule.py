@@ -14,7 +14,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
 
 
-@rule(code="XPL221", requirement="XPL-CFG-9")
+@rule(code="XPL221", requirement="XPL-CFG-9", tries="long episodes and histories")
 def declared_history(probe: Probe) -> Iterator[Finding]:
     """Actions depend on more or fewer observations than the manifest declares.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL248", requirement="XPL-CFG-12", profile="full")
+@rule(code="XPL248", requirement="XPL-CFG-12", profile="full", tries="declared randomness")
 def declared_random(configurations: Configurations) -> Iterator[Finding]:
     """A policy that is declared not deterministic is deterministic.
 

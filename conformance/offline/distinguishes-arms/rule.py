@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL232", requirement="XPL-OBS-7", profile="full")
+@rule(code="XPL232", requirement="XPL-OBS-7", profile="full", tries="swapped arms")
 def distinguishes_arms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """The policy does not distinguish the arms of a robot.
 

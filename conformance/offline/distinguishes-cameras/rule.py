@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL231", requirement="XPL-OBS-7", profile="full")
+@rule(code="XPL231", requirement="XPL-OBS-7", profile="full", tries="swapped cameras")
 def distinguishes_cameras(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A policy with several cameras does not distinguish them.
 

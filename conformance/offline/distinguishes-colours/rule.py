@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL230", requirement="XPL-OBS-7", profile="full")
+@rule(code="XPL230", requirement="XPL-OBS-7", profile="full", tries="swapped colours")
 def distinguishes_colours(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A policy with cameras does not distinguish red from blue.
 

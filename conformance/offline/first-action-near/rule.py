@@ -13,7 +13,7 @@ from xpl_cli.audit.rules.model import SHARED
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL237", requirement="XPL-ACT-8", profile="full")
+@rule(code="XPL237", requirement="XPL-ACT-8", profile="full", tries="limits and step sizes")
 def first_action_near(motions: MotionEpisodes, parity: Parity) -> Iterator[Finding]:
     """The first action of an episode is far from the robot's pose.
 

@@ -15,7 +15,7 @@ from xpl_cli.model_io.explain import format_parts
 from xpl_cli.model_io.patterns import Pattern
 
 
-@rule(code="XPL260", requirement="XPL-NAT-3", after=("serves",), profile="full")
+@rule(code="XPL260", requirement="XPL-NAT-3", after=("serves",), profile="full", tries="golden pairs")
 def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     """The policy's actions differ from those of the model's own pipeline.
 

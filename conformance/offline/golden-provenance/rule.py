@@ -11,7 +11,7 @@ from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import names, pairs, provenance, record
 
 
-@rule(code="XPL261", requirement="XPL-NAT-6", profile="full")
+@rule(code="XPL261", requirement="XPL-NAT-6", profile="full", tries="golden pairs")
 def golden_provenance(probe: Probe) -> Iterator[Finding]:
     """Golden pairs were recorded with other reference code or weights.
 

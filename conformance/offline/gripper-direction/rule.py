@@ -25,7 +25,7 @@ _UNIT = 0.3
 _COMPARE = "compare the gripper with the authors' own code, in the state that is encoded and in the action"
 
 
-@rule(code="XPL242", requirement="XPL-ACT-5", profile="full")
+@rule(code="XPL242", requirement="XPL-ACT-5", profile="full", tries="grippers")
 def gripper_direction(probe: Probe) -> Iterator[Finding]:
     """Gripper commands are inverted, in another unit, or those of the other arm.
 

@@ -20,7 +20,7 @@ turn, has lost it on the way."""
 _FIX = Fix("advice", "convert rotations with xpl.rotation, which is exact at half turns")
 
 
-@rule(code="XPL240", requirement="XPL-ACT-16", profile="full")
+@rule(code="XPL240", requirement="XPL-ACT-16", profile="full", tries="rotations")
 def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A half turn of the end effector is lost.
 

@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures
 
 
-@rule(code="XPL225", requirement="XPL-IMG-2", compares=True)
+@rule(code="XPL225", requirement="XPL-IMG-2", compares=True, tries="encoded images")
 def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """Actions depend on how an image was encoded.
 

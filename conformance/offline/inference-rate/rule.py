@@ -11,7 +11,7 @@ from xpl_cli.audit.served.service import ServiceRun
 _RATE = "control_frequency"
 
 
-@rule(code="XPL247", requirement="XPL-SRV-6", profile="full")
+@rule(code="XPL247", requirement="XPL-SRV-6", profile="full", tries="speed")
 def inference_rate(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
     """A chunk takes longer to compute than to execute.
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
 
 
-@rule(code="XPL212", requirement="XPL-OBS-6")
+@rule(code="XPL212", requirement="XPL-OBS-6", tries="effects of inputs")
 def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input has no effect on the actions.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 _FIX = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)")
 
 
-@rule(code="XPL215", requirement="XPL-OBS-4", compares=True)
+@rule(code="XPL215", requirement="XPL-OBS-4", compares=True, tries="spellings of the instruction")
 def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """Only one spelling of the instruction is accepted.
 

@@ -11,7 +11,12 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
 
 
-@rule(code="XPL220", requirement="XPL-BAT-6", after=("batch-order", "batch-independent"))
+@rule(
+    code="XPL220",
+    requirement="XPL-BAT-6",
+    after=("batch-order", "batch-independent"),
+    tries="an instruction for each environment",
+)
 def instruction_per_environment(probe: Probe) -> Iterator[Finding]:
     """An environment follows the instruction of another one.
 

@@ -12,7 +12,7 @@ from xpl_cli.audit.offline.motion import MotionAnswer, MotionEpisodes
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL238", requirement="XPL-ACT-9", profile="full")
+@rule(code="XPL238", requirement="XPL-ACT-9", profile="full", tries="limits and step sizes")
 def joint_limits(motions: MotionEpisodes) -> Iterator[Finding]:
     """Joint commands exceed the limits of the embodiment.
 

@@ -13,7 +13,7 @@ from xpl_cli.model_io.kinematics import consistency, sample_verdicts
 from xpl_cli.model_io.kinematics.consistency import KinematicsVerdict
 
 
-@rule(code="XPL262", requirement="XPL-NAT-7")
+@rule(code="XPL262", requirement="XPL-NAT-7", tries="golden pairs")
 def kinematics_agree(probe: Probe) -> Iterator[Finding | Proof]:
     """Recorded joints and poses contradict each other in the declared conventions.
 

@@ -19,7 +19,7 @@ _FIX = Fix("advice", "read required fields with xpl.observation, which raises, a
 _TEXT = Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True), which raises")
 
 
-@rule(code="XPL213", requirement="XPL-OBS-3")
+@rule(code="XPL213", requirement="XPL-OBS-3", tries="missing and damaged inputs")
 def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A missing required input is silently replaced.
 

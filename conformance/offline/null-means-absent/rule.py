@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import blame
 _MOST = 8
 
 
-@rule(code="XPL250", requirement="XPL-CFG-6")
+@rule(code="XPL250", requirement="XPL-CFG-6", tries="false and null as settings")
 def null_means_absent(configurations: Configurations) -> Iterator[Finding]:
     """A setting that is null is not treated like one that is left out.
 

@@ -14,7 +14,7 @@ from xpl_cli.audit.served.changed_inputs import only
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL216", requirement="XPL-OBS-1", compares=True)
+@rule(code="XPL216", requirement="XPL-OBS-1", compares=True, tries="forms of observations")
 def observation_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """Observations that the schema allows are refused, or give other actions.
 

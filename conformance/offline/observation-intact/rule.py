@@ -13,7 +13,7 @@ _SHOWN = 4
 """Findings that are made at most; one cause changes many keys."""
 
 
-@rule(code="XPL226", requirement="XPL-OBS-5")
+@rule(code="XPL226", requirement="XPL-OBS-5", tries="forms of observations")
 def observation_intact(in_process_run: InProcessRun) -> Iterator[Finding]:
     """The adapter changes an observation that it got.
 

@@ -20,7 +20,7 @@ _Second = Callable[..., "Answer"]
 """Plays the episode with these observations after the first question, and returns the second answer."""
 
 
-@rule(code="XPL229", requirement="XPL-EPI-8")
+@rule(code="XPL229", requirement="XPL-EPI-8", tries="observations within a chunk")
 def observations_between_inferences(probe: Probe) -> Iterator[Finding]:
     """Observations between two get_action calls do not reach the model.
 

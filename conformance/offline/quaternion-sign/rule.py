@@ -13,7 +13,7 @@ from xpl_cli.model_io import names
 from xpl_cli.packages.package import Package
 
 
-@rule(code="XPL241", requirement="XPL-OBS-9", profile="full")
+@rule(code="XPL241", requirement="XPL-OBS-9", profile="full", tries="rotations")
 def quaternion_sign(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A quaternion and its negative give different actions, although the model always gets one sign.
 

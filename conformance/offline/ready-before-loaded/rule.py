@@ -11,7 +11,7 @@ from xpl_cli.audit.served.service import ServiceRun
 _TIMES, _LONGER_S = 10.0, 2.0
 
 
-@rule(code="XPL246", requirement="XPL-SRV-10", profile="full")
+@rule(code="XPL246", requirement="XPL-SRV-10", profile="full", tries="speed")
 def ready_before_loaded(service: ServiceRun) -> Iterator[Finding]:
     """The server reports that it is ready before the model is.
 

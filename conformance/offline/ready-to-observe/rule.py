@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL254", requirement="XPL-EPI-7")
+@rule(code="XPL254", requirement="XPL-EPI-7", tries="resets")
 def ready_to_observe(probe: Probe) -> Iterator[Finding]:
     """A new model fails on an observation before its first reset.
 

@@ -26,7 +26,7 @@ _WAYS: dict[str, Config] = {
 _ASKING = (sdk.Method.GET_ACTION, sdk.Method.GET_ACTION_BATCH)
 
 
-@rule(code="XPL255", requirement="XPL-SRV-11", compares=True)
+@rule(code="XPL255", requirement="XPL-SRV-11", compares=True, tries="a run without the server")
 def remote_equals_local(probe: Probe) -> Iterator[Finding]:
     """The adapter's actions differ when it is served.
 

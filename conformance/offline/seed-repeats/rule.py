@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL214", requirement="XPL-CFG-2")
+@rule(code="XPL214", requirement="XPL-CFG-2", tries="seeds")
 def seed_repeats(configurations: Configurations) -> Iterator[Finding]:
     """Two runs with one seed give different actions.
 

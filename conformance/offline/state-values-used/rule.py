@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL233", requirement="XPL-OBS-7")
+@rule(code="XPL233", requirement="XPL-OBS-7", tries="effects of inputs")
 def state_values_used(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """One joint or coordinate of a required state has no effect on the actions.
 

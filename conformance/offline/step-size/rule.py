@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.motion import MotionEpisodes
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL239", requirement="XPL-ACT-15", profile="full")
+@rule(code="XPL239", requirement="XPL-ACT-15", profile="full", tries="limits and step sizes")
 def step_size(motions: MotionEpisodes) -> Iterator[Finding]:
     """Consecutive actions of a chunk are farther apart than the robot can move.
 

@@ -12,7 +12,7 @@ _FLAGS = (True, False)
 _MOST = 4
 
 
-@rule(code="XPL249", requirement="XPL-CFG-3")
+@rule(code="XPL249", requirement="XPL-CFG-3", tries="false and null as settings")
 def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
     """A setting stays on if the string "false" switches it off.
 

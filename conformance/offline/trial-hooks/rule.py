@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 _HOOK: Final = {sdk.Message.PREPARE_CASE: sdk.Method.PREPARE_CASE, sdk.Message.TRIAL_END: sdk.Method.ON_TRIAL_END}
 
 
-@rule(code="XPL263", requirement="XPL-EPI-1", compares=True)
+@rule(code="XPL263", requirement="XPL-EPI-1", compares=True, tries="resets")
 def trial_hooks(probe: Probe) -> Iterator[Finding]:
     """A hook raises an error, or affects the next trial.
 

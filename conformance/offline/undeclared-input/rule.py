@@ -11,7 +11,7 @@ from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
 
 
-@rule(code="XPL234", requirement="XPL-CFG-9", profile="full")
+@rule(code="XPL234", requirement="XPL-CFG-9", profile="full", tries="effects of inputs")
 def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """The actions depend on an input that the manifest does not list, or lists as unused.
 

@@ -145,7 +145,17 @@ class Checks:
         reason: str | None = None,
         proof: Numbers | None = None,
     ) -> RuleResult:
-        return RuleResult(rule.code, rule.slug, rule.requirement, rule.severity, outcome, findings, reason, proof=proof)
+        return RuleResult(
+            rule.code,
+            rule.slug,
+            rule.requirement,
+            rule.severity,
+            outcome,
+            findings,
+            reason,
+            proof=proof,
+            tries=rule.tries,
+        )
 
 
 def _is_of_the_server(rule: Rule, error: BaseException) -> bool:

@@ -6,12 +6,13 @@ On a terminal it fits on one screen. In a file every finding is listed, on one l
 from __future__ import annotations
 
 import itertools
+import re
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.causes import Cause, causes
-from xpl_cli.audit.formats.coverage import Coverage, Untried
+from xpl_cli.audit.formats.coverage import Coverage
 from xpl_cli.audit.formats.listing import (
     ListedFinding,
     ReportContext,
@@ -36,6 +37,12 @@ if TYPE_CHECKING:
 _SCREEN = 29
 """Lines of a screen for findings; head, verdict and next commands take the rest."""
 
+_AROUND = 5
+"""Lines of a screen that gates and what was tried may take besides."""
+
+_LEAST_ALONE = 10
+"""Least number of lines for the findings of one target."""
+
 _PAGES = 3
 """Screens that a file may take before its findings get one line each."""
 
@@ -58,7 +65,7 @@ _MOST_LINES = 12
 _MOST_MESSAGES = 4
 """Findings of one rule and cause whose messages a terminal gets."""
 
-_REASON = 110
+_REASON = 90
 """Characters of the reason why something was not tried."""
 
 _SUBJECTS = 3
@@ -152,11 +159,15 @@ def _target(report: TargetReport, found: list[Cause], room: _Space, again: str, 
             return [head]
     lines = [head]
     for gate in report.gates:
-        lines += [_gate(gate), *(_tried(gate, report) if alone else []), *_unproved(gate, report)]
+        lines += [_gate(gate), *_unproved(gate, report)]
         lines += [StyledText.of("  ", one_line(str(figure))) for figure in gate.measurements]
         lines += _waived(gate)
         if alone and gate.finish is not None:
             lines.append(StyledText.of((f"  {gate.finish}", "dim")))
+    tried = [line for gate in report.gates for line in _tried(gate, report)] if alone else []
+    if alone and not room.is_file:
+        taken = sum(line.height(room.width) for line in (*lines, *tried))
+        room = replace(room, lines=max(_LEAST_ALONE, room.lines + _AROUND - taken))
     fitting = _fit(found, room)
     harm = ""
     for cause, block in fitting:
@@ -167,7 +178,7 @@ def _target(report: TargetReport, found: list[Cause], room: _Space, again: str, 
     if len(fitting) < len(found):
         more = count_noun(len(found) - len(fitting), "finding")
         lines.append(StyledText.of(f"  {more} more: `{one_line(again)} --output audit.txt` lists all"))
-    return [*lines, StyledText.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else StyledText()]
+    return [*lines, *tried, StyledText.of(("verdict  ", "dim"), *_verdict(verdict)) if alone else StyledText()]
 
 
 def _verdict(verdict: Verdict) -> tuple[tuple[str, str], str]:
@@ -195,14 +206,15 @@ def _tried(gate: GateReport, report: TargetReport) -> Iterator[StyledText]:
     coverage = Coverage.of(gate)
     verb = "read" if gate.name is Gate.STATIC else "tried"
     if gate.reason is None and coverage.tried:
-        yield StyledText.of((f"  {verb}: {', '.join(coverage.tried)}", "dim"))
-    if gate.reason is None and coverage.needless and gate.outcome is not Outcome.NOT_RUN:
-        parts = [f"{_subjects(item)} ({_reason(item.reason, report)})" for item in coverage.needless]
-        yield StyledText.of((f"  not {verb}: {'; '.join(parts)}", "dim"))
+        yield StyledText.of((f"{gate.name} {verb}: {', '.join(coverage.tried)}", "dim"))
+    if gate.reason is None and coverage.tried and coverage.needless:
+        parts = [f"{', '.join(item.subjects)} ({_clause(item.reason, report)})" for item in coverage.needless]
+        yield StyledText.of((f"  not {verb}: {', '.join(parts)}", "dim"))
 
 
-def _subjects(item: Untried) -> str:
-    return join_limited(item.subjects, _SUBJECTS)
+def _clause(reason: str, report: TargetReport) -> str:
+    """Return the first clause of a reason."""
+    return _reason(re.split(r"[:;] ", reason, maxsplit=1)[0], report)
 
 
 def _reason(reason: str, report: TargetReport, most: int = _REASON) -> str:

@@ -50,6 +50,8 @@ class Rule:
             require it; `full` where it judges the values that the real model answers.
         compares: whether it passes because answers are alike, which proves nothing of a policy that answers the same
             whatever it is shown.
+        tries: what it tries, as a noun phrase, such as `batches that shrink`; several rules may share one. Empty for
+            what its requirement is about, as with all rules that only read files.
     """
 
     code: str
@@ -62,6 +64,7 @@ class Rule:
     after: tuple[str, ...] = ()
     profile: Profile = Profile.SHADOW
     compares: bool = False
+    tries: str = ""
 
     @property
     def severity(self) -> str:
@@ -104,6 +107,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     after: tuple[str, ...] = (),
     profile: str = "shadow",
     compares: bool = False,
+    tries: str = "",
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
@@ -112,7 +116,8 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     Use instead, Fix safety. Its folder `conformance/GATE/SLUG` says what it is called and where it runs; a rule of
     `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
     this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it; `compares`
-    says that it passes because answers are alike.
+    says that it passes because answers are alike. `tries` says in a noun phrase what it tries, for the report's line of
+    what was tried.
 
     Raises:
         RegistryError: if it says another gate than its folder, or none where the folder leaves it open.
@@ -131,6 +136,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
             after,
             Profile(profile),
             compares,
+            tries,
         )
         return check
 
