@@ -45,9 +45,7 @@ def batch_by_position(source: Source) -> Iterator[Finding]:
     parameter_names = parameters(function.node)
     if not parameter_names:
         return
-    verdict = _judged(function, parameter_names[0])
-    if verdict is not None:
-        message, node = verdict
+    for message, node in _judged(function, parameter_names[0]):
         yield Finding(
             message,
             **source.at(function.file, node),
@@ -62,8 +60,8 @@ def _acts(function: Function) -> bool:
     return any(isinstance(node, ast.Return) and node.value is not None for node in function.nodes)
 
 
-def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
-    """Return what is wrong, and where, if no entry of the list is looked at."""
+def _judged(function: Function, parameter: str) -> Iterator[tuple[str, ast.AST]]:
+    """Yield what is wrong, and where: no entry of the list is looked at, or entries do not select what is answered."""
     aliases = names_of_list(function, parameter)
     up = function.up
     counted: ast.AST | None = None
@@ -75,34 +73,42 @@ def _judged(function: Function, parameter: str) -> tuple[str, ast.AST] | None:
     for read in reads:
         use = _use(read, up, aliases)
         if use == "content":
-            return _paired(function, aliases)
+            yield from _paired(function, aliases)
+            return
         if use == "count":
             counted = counted or _outermost(read, up)
     if counted is not None:
-        return (
-            f"{ACT_BATCH}([9]) returns the action of the environment that was observed first, say 3: the list "
-            "is only counted, and robots receive each other's commands"
-        ), counted
-    if any(node.id == parameter for node in reads):
-        return None  # looked at in some other way
-    return (
-        f"{ACT_BATCH}([9]) returns actions for every observed environment, and so that of 3 for 9: {parameter} "
-        "is never read"
-    ), function.node
+        yield (
+            (
+                f"{ACT_BATCH}([9]) returns the action of the environment that was observed first, say 3: the list "
+                "is only counted, and robots receive each other's commands"
+            ),
+            counted,
+        )
+    elif not any(node.id == parameter for node in reads):  # nor looked at in some other way
+        yield (
+            (
+                f"{ACT_BATCH}([9]) returns actions for every observed environment, and so that of 3 for 9: {parameter} "
+                "is never read"
+            ),
+            function.node,
+        )
 
 
-def _paired(function: Function, requested: set[str]) -> tuple[str, ast.AST] | None:
-    """Return what is wrong with a method that reads the entries of the list, and yet answers by position."""
+def _paired(function: Function, requested: set[str]) -> Iterator[tuple[str, ast.AST]]:
+    """Yield what is wrong with a method that reads the entries of the list, and yet answers by position."""
     paired = next(pairings(function, requested), None)
     if paired is not None:
-        return (
-            f"{ACT_BATCH}([9]) acts on the observation that was stored first, say of 3, and labels it 9: "
-            "what is stored is taken by position, and robots receive each other's commands"
-        ), paired
+        yield (
+            (
+                f"{ACT_BATCH}([9]) acts on the observation that was stored first, say of 3, and labels it 9: "
+                "what is stored is taken by position, and robots receive each other's commands"
+            ),
+            paired,
+        )
     repeated = next((node for node in function.of(ast.ListComp) if called(node.elt) == f"self.{ACT}"), None)
     if repeated is not None and not names(repeated.elt) - {"self"}:
-        return f"{ACT_BATCH}([3, 7]) answers both by the one observation that {ACT} knows of", repeated
-    return None
+        yield f"{ACT_BATCH}([3, 7]) answers both by the one observation that {ACT} knows of", repeated
 
 
 def _use(read: ast.Name, up: dict[ast.AST, ast.AST], aliases: set[str]) -> str:

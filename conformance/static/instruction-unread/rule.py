@@ -30,8 +30,8 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     Looks at which of `instruction` and `instructions` the functions reached from `update_obs` and `get_action` read. It
     reports an adapter that reads one spelling only, and one that reads neither and follows a sentence from its code. It
     warns if a policy with another language input reads neither, since its weights may know one task only, and if the
-    code has a whole sentence as a fallback for the instruction. Not reported: adapters that pass the whole observation
-    on to another package.
+    code has a whole sentence, or the name of the task, as a fallback for the instruction. Not reported: adapters that
+    pass the whole observation on to another package.
 
     ## Why it matters
     Both spellings occur in practice. A policy that does not know the spelling that it gets stops, or uses a default: it
@@ -56,6 +56,7 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     is_unread = not may_be_read and not mentioned & {_ONE, _MANY}
     sentences = list(_sentences(source, adapter, is_unread=is_unread))
     yield from sentences
+    yield from _names_of_tasks(source, functions)
     if may_be_read or (is_unread and sentences):
         return
     read = [(function, node) for function in functions for node in _reads(function)]
@@ -96,6 +97,34 @@ def _reads(function: Function) -> Iterator[ast.expr]:
     for loop in loops:
         if {_ONE, _MANY} & texts(loop.iter):
             yield loop.iter
+
+
+def _names_of_tasks(source: Source, functions: list[Function]) -> Iterator[Finding]:
+    """Yield the name of the task in place of an instruction that is missing."""
+    for function in functions:
+        for node in (*function.of(ast.Call), *function.of(ast.BoolOp)):
+            fallbacks: list[ast.expr] = []
+            if isinstance(node, ast.BoolOp):
+                fallbacks = node.values[1:] if {_ONE, _MANY} & texts(node.values[0]) else []
+            elif (read := key_read(node)) is not None and read.key in {_ONE, _MANY} and read.default is not None:
+                fallbacks = [read.default]
+            named = (
+                child
+                for one in fallbacks
+                for child in ast.walk(one)
+                if sdk.Deploy.TASK_NAME
+                in (getattr(child, "value", ""), getattr(child, "attr", ""), getattr(child, "id", ""))
+            )
+            if next(named, None) is not None:
+                yield Finding(
+                    "without an instruction the policy follows the name of the task, which no weights were trained on",
+                    **source.at(function.file, node),
+                    expected="an error if there is no instruction",
+                    got=ast.unparse(node)[:80],
+                    fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
+                    must=False,
+                )
+                return
 
 
 def _constants(function: Function) -> set[str]:

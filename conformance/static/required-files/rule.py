@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from typing import Final
 
@@ -11,6 +12,11 @@ from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
 
+_EVALUATES_ONLY: Final = re.compile(
+    r"(?:evaluat\w+|eval|inference|deployment)[- ]only|only (?:covers |for )?(?:inference|evaluat)"
+    r"|train\w*[^.\n]{0,40}\bnot\b|\bno (?:re)?training\b|\bnot\b[^.\n]{0,40}\btrain",
+    re.IGNORECASE,
+)
 _CONSEQUENCES: Final = {
     sdk.File.README_MD: "users do not learn how to install the policy, or which checkpoint it needs",
     sdk.File.INIT_PY: "the package cannot be imported by its name",
@@ -27,8 +33,9 @@ def required_files(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Compares the adapter's folder with the list of files in the standard; `process_data.sh` and `train.sh` are required
-    unless `policy.yml` declares `evaluation_only: true`. They are not required of an adapter of the ecosystem, which
-    cannot declare that. A `policy.yml` that is not a regular file is reported, too.
+    unless `policy.yml` declares `evaluation_only: true`. An adapter of the ecosystem cannot declare that: one of them
+    that is missing is a warning unless README.md says so, if README.md tells to run it, if the other one is there, or
+    if README.md does not say that the adapter only evaluates. A `policy.yml` that is not a regular file is reported.
 
     ## Why it matters
     Launchers call the scripts by name. A missing one ends a benchmark run after the job waited in the queue. Servers
@@ -55,6 +62,8 @@ def required_files(source: Source) -> Iterator[Finding]:
             got="a folder, a pipe, a device, or a link to outside the package",
             fix=Fix("advice", f"replace it by a file, as a fresh `xpl new-policy` writes {manifest}"),
         )
+    if source.is_ecosystem:
+        yield from _untrained(source, files["training"])
     for name in required:
         if not source.has(name):
             yield Finding(
@@ -63,3 +72,28 @@ def required_files(source: Source) -> Iterator[Finding]:
                 got="no such file",
                 fix=Fix("advice", f"copy {name} from a fresh `xpl new-policy` scaffold"),
             )
+
+
+def _untrained(source: Source, names: list[str]) -> Iterator[Finding]:
+    """Yield the scripts of training that an adapter of the ecosystem lacks without saying so."""
+    readme = source.text(sdk.File.README_MD) if source.has(sdk.File.README_MD) else ""
+    missing = [name for name in names if not source.has(name)]
+    for name in missing:
+        lines = [line for line in readme.split("\n") if name in line]
+        if any(re.search(r"\b(?:no|not|without|lacks?)\b", line, re.IGNORECASE) for line in lines):
+            continue
+        if any(re.search(rf"\bbash\b.*{re.escape(name)}", line) for line in lines):
+            why = f"{sdk.File.README_MD} tells to run it"
+        elif len(missing) < len(names):
+            why = "the other script of training is there, so that half of what made the weights cannot be repeated"
+        elif not _EVALUATES_ONLY.search(readme):
+            why = f"{sdk.File.README_MD} does not say that the adapter only evaluates"
+        else:
+            continue
+        yield Finding(
+            f"{name} is missing: {why}",
+            expected=f"a file {name} in the adapter's folder",
+            got="no such file",
+            fix=Fix("advice", f"add {name}, or say in {sdk.File.README_MD} that the adapter only evaluates"),
+            must=False,
+        )
