@@ -41,7 +41,8 @@ RECIPE = """\
 import numpy as np
 
 REQUIREMENTS = ("numpy",)
-SETTINGS = {"run_dir": "{folder}", "env_cfg_type": "arx_x5_single", "action_type": "joint", "CHUNK": 4}
+SETTINGS = {"run_dir": "{folder}", "env_cfg_type": "arx_x5_single", "action_type": "joint", "CHUNK": 4,
+            "vlm": {"paths": ["{folder}/vlm"], "layers": 2}}
 VARIABLES = {"RUNS": "{folder}"}
 
 
@@ -82,6 +83,7 @@ def test_a_recipe_of_the_zoo_makes_the_weights_of_a_bare_adapter(
     assert os.environ["RUNS"] == str(made.path)
     own = found.config(recipe.overrides(made.path, {"CHUNK": 8}))
     assert (own["run_dir"], own["CHUNK"]) == (str(made.path), 8)
+    assert own["vlm"] == {"paths": [f"{made.path}/vlm"], "layers": 2}
     assert recipe.is_configured(own, adapter)
 
 

@@ -59,7 +59,7 @@ def enters_modes() -> bool:
         meta = torch.nn.Linear(2, 2)
     torch.set_default_device("cuda")
     after = torch.ones(2)
-    torch.set_default_device(None)
+    torch.set_default_device("cpu")
     return (
         str(inside.device) == str(after.device) == "cpu"
         and meta.weight.is_meta
@@ -101,6 +101,18 @@ def loads_safetensors() -> bool | str:
         path = str(Path(folder) / "weights.safetensors")
         save_file({"a": torch.ones(2)}, path)
         return str(load_file(path, device="cuda:0")["a"].device) == "cpu"
+
+
+def avoids_flash_attention() -> bool | str:
+    try:
+        from transformers import LlamaConfig, LlamaForCausalLM
+    except ImportError:
+        return "no transformers"
+    small = {"hidden_size": 8, "intermediate_size": 8, "num_hidden_layers": 1, "num_attention_heads": 1}
+    with tempfile.TemporaryDirectory() as folder:
+        LlamaForCausalLM(LlamaConfig(**small, vocab_size=8)).save_pretrained(folder)
+        model = LlamaForCausalLM.from_pretrained(folder, attn_implementation="flash_attention_2")
+    return model.config._attn_implementation == "sdpa" and "_attn_implementation" not in model.config.to_dict()
 
 
 def scripts() -> bool:

@@ -23,6 +23,7 @@ TRIES = (
     "draws",
     "loads",
     "loads_safetensors",
+    "avoids_flash_attention",
     "scripts",
     "asks_the_gpu",
     "works_in_threads",
@@ -44,7 +45,7 @@ def results() -> dict[str, object]:
 
 @pytest.mark.parametrize("name", TRIES)
 def test_code_that_names_cuda_runs_on_the_cpu(results: dict[str, object], name: str) -> None:
-    assert results[name] in (True, "no safetensors")
+    assert results[name] in (True, "no safetensors", "no transformers")
 
 
 @pytest.mark.parametrize(

@@ -5,16 +5,19 @@ neither `torch.load` nor `torch.cuda`. `torch.cuda.is_available()` stays False, 
 
 Two details of a GPU stay: a transfer copies memory that another library owns, such as a numpy array's, and
 `torch.cuda.manual_seed` seeds the numbers that are drawn on "cuda". `torch.compile` leaves a function as it is: a
-compiled one would name the missing device.
+compiled one would name the missing device. Models of `transformers` that ask for flash attention get PyTorch's own.
 """
 
 from __future__ import annotations
 
 import functools
 import importlib
+import importlib.abc
+import importlib.machinery
 import importlib.util
 import os
 import re
+import sys
 from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Callable
@@ -71,6 +74,7 @@ def enable() -> None:
     _redirect_files(torch)
     _redirect_modes(torch)
     _replace_cuda_module(torch)
+    sys.meta_path.insert(0, _AvoidFlashAttention())
     _enabled = True
 
 
@@ -194,6 +198,47 @@ def _replace_cuda_module(torch: Any) -> None:
     cuda.set_rng_state = _without_device(torch.set_rng_state, arguments=1)
     cuda.Stream = cuda.Event = cuda.device = _Idle
     cuda.current_stream = cuda.default_stream = cuda.stream = _Idle
+
+
+class _AvoidFlashAttention(importlib.abc.MetaPathFinder):
+    """Changes the configurations of `transformers` when that is imported, which takes seconds."""
+
+    def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
+        if name != "transformers.configuration_utils":
+            return None
+        spec = importlib.machinery.PathFinder.find_spec(name, path, target)
+        if spec is not None and spec.loader is not None:
+            run = spec.loader.exec_module
+
+            def run_and_change(module: Any) -> None:
+                run(module)
+                setattr(module.PretrainedConfig, _Attention.NAME, _Attention())
+
+            spec.loader.exec_module = run_and_change  # type: ignore[method-assign]
+        return spec
+
+
+class _Attention:
+    """Attribute of a model's configuration that names the attention: never one whose kernels need a GPU."""
+
+    NAME = "_attn_implementation_internal"
+
+    def __get__(self, config: Any, _: object = None) -> Any:
+        if config is None:
+            return self
+        try:
+            return vars(config)[self.NAME]
+        except KeyError:
+            raise AttributeError(self.NAME) from None
+
+    def __set__(self, config: Any, value: Any) -> None:
+        vars(config)[self.NAME] = self._on_cpu(value)
+
+    def _on_cpu(self, value: Any) -> Any:
+        """Return a name, or names by part of the model, with PyTorch's attention instead of flash attention."""
+        if isinstance(value, Mapping):
+            return {part: self._on_cpu(one) for part, one in value.items()}
+        return "sdpa" if isinstance(value, str) and value.startswith("flash_attention") else value
 
 
 class _Idle:

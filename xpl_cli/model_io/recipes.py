@@ -53,17 +53,23 @@ class Recipe:
 
     def overrides(self, folder: Path, given: Config) -> dict[str, Any]:
         """Return the keys of deploy.yml for a checkpoint in this folder: those given, and its paths before them."""
-        settings = {**self.settings, **given}
-        for key, value in self.settings.items():
-            if _FOLDER in str(value):
-                settings[key] = value.replace(_FOLDER, str(folder))
-        return settings
+        paths = {key: _placed(value, folder) for key, value in self.settings.items() if _FOLDER in str(value)}
+        return {**self.settings, **given, **paths}
 
     def is_configured(self, config: Config, base: Path) -> bool:
         """Tell whether a run has files of its own: every path that the settings name is one that exists."""
-        named = [config.get(key) for key, value in self.settings.items() if _FOLDER in str(value)]
+        named = [config.get(key) for key, value in self.settings.items() if isinstance(value, str) and _FOLDER in value]
         places = [(base / str(name), base / "checkpoints" / str(name)) for name in named if name]
         return len(places) == len(named) > 0 and all(any(path.exists() for path in both) for both in places)
+
+
+def _placed(value: Any, folder: Path) -> Any:
+    """Return a value of deploy.yml, or one in it, for a checkpoint in this folder."""
+    if isinstance(value, dict):
+        return {key: _placed(one, folder) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_placed(one, folder) for one in value]
+    return value.replace(_FOLDER, str(folder)) if isinstance(value, str) else value
 
 
 def find(package: Package) -> Recipe | None:
