@@ -36,7 +36,16 @@ LAZY = {
     # Who trains a policy of LeRobot has LeRobot, and with it torch and safetensors.
     "lerobot": {"xpl.training.lerobot", "xpl.training.tiny_lerobot"},
     "safetensors": {"xpl.training.lerobot", "xpl.training.tiny_lerobot"},
-    "torch": {"xpl.training.lerobot", "xpl.training.tiny_lerobot", "xpl.worker.tiny"},
+    "torch": {
+        "xpl.training.lerobot",
+        "xpl.training.tiny_lerobot",
+        "xpl.training.tiny_parts",
+        "xpl.worker.cuda_on_cpu",
+        "xpl.worker.tiny",
+    },
+    # A recipe of a tiny checkpoint runs in the interpreter of its policy.
+    "tokenizers": {"xpl.training.tiny_parts"},
+    "transformers": {"xpl.training.tiny_parts"},
 }
 """Third-party imports allowed inside functions, and the SDK modules that may hold them."""
 
