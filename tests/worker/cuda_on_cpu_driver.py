@@ -73,7 +73,9 @@ def casts() -> bool:
         brain = layer(torch.ones(1, 2)).dtype
     with torch.autocast(device_type="cuda"):
         half = layer(torch.ones(1, 2)).dtype
-    return (brain, half) == (torch.bfloat16, torch.float16)
+    with torch.autocast("cuda", dtype=torch.float32):
+        full = layer(torch.ones(1, 2, dtype=torch.bfloat16)).dtype
+    return (brain, half, full) == (torch.bfloat16, torch.float16, torch.float32)
 
 
 def draws() -> bool:

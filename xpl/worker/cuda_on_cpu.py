@@ -172,7 +172,10 @@ def _redirect_modes(torch: Any) -> None:
     def begin_autocast(self: Any, device_type: str, dtype: Any = None, *args: Any, **kwargs: Any) -> None:
         if device_type == "cuda" and dtype is None:
             dtype = torch.get_autocast_gpu_dtype()
-        begin(self, _on_cpu(device_type), dtype, *args, **kwargs)
+        is_full = device_type == "cuda" and dtype == torch.float32
+        begin(self, _on_cpu(device_type), torch.bfloat16 if is_full else dtype, *args, **kwargs)
+        if is_full:  # CUDA casts bfloat16 to it, and only the check of the class above forbids it for the CPU
+            self.fast_dtype = dtype
 
     torch.autocast.__init__ = begin_autocast
     if torch.distributed.is_available():
