@@ -1,6 +1,6 @@
 """Mem_0's adapter of XPolicyLab: the execution module on a narrow Qwen3-VL, and a diffusion transformer of two layers.
 
-The adapter reads the executor's weights, statistics and Qwen3-VL. Subtasks of kind Mn need a server for planning: M1 here.
+The adapter reads the weights of the executor, statistics and Qwen3-VL. Tasks of kind Mn ask a planning server: M1 here.
 """
 
 from __future__ import annotations
