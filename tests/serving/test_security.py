@@ -461,6 +461,20 @@ def test_tracebacks_are_sent_with_debug_only(
     assert told.rstrip().endswith(sentence)
 
 
+def test_lines_of_the_adapter_are_sent_to_an_audit_only(
+    peer: Peer, subject: Path, serve: Callable[..., RunningServer]
+) -> None:
+    """A client of any other server does not learn where the adapter's files raise."""
+    assert (
+        "details" not in peer.ask("call", {"func_name": "fail"}).payload
+        or not peer.ask("call", {"func_name": "fail"}).payload["details"]
+    )
+    with greeted(serve(subject, options=["--locate-errors"]).url) as other:
+        ((file, line, name),) = other.ask("call", {"func_name": "fail"}).payload["details"]["raised_at"]
+    assert (file, name) == ("model.py", "fail")
+    assert "the gripper is unhappy" in (subject / file).read_text().splitlines()[line - 1]
+
+
 # -- packed payloads and shared memory ---------------------------------------------------------------------------------
 
 

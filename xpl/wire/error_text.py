@@ -11,6 +11,7 @@ import os
 import stat
 import traceback
 from collections.abc import Mapping
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -22,6 +23,8 @@ _LEVELS = 8
 _ENTRIES = 64
 _CAUSES = 64
 """Most exceptions that a traceback describes: causes, contexts and members of groups together."""
+_OWN_FRAMES = 16
+_INSTALLED = "site-packages"
 _SOURCE = 1 << 22
 """Bytes of the largest file from which a traceback shows lines."""
 
@@ -79,6 +82,26 @@ def describe(error: BaseException, frames: object = None) -> dict[str, str]:
     except BaseException as problem:  # noqa: BLE001 - as above
         trace_text = f"{kind}: {message}\n(its traceback cannot be had: {name_of(problem)})\n"
     return {"type": kind, "message": message or kind, "traceback": sendable(trace_text, TRACEBACK)}
+
+
+def own_frames(error: BaseException, folder: Path) -> list[list[Any]]:
+    """Return the frames of a folder's own files in a traceback, innermost first.
+
+    Args:
+        error: the exception.
+        folder: the folder; files of an environment that is installed in it do not count.
+
+    Returns:
+        file relative to the folder with forward slashes, line, and name of the function; at most 16 of them.
+    """
+    roots = [f"{root}{os.sep}" for root in (folder, os.path.realpath(folder))]
+    own: list[list[Any]] = []
+    for frame, line in traceback.walk_tb(error.__traceback__):
+        name = frame.f_code.co_filename
+        file = next((name[len(root) :] for root in roots if name.startswith(root)), None)
+        if file is not None and _INSTALLED not in (parts := Path(file).parts):
+            own.append([sendable("/".join(parts)), line, sendable(frame.f_code.co_name)])
+    return own[: -_OWN_FRAMES - 1 : -1]
 
 
 def _traceback(error: BaseException, frames: Any, last: str) -> str:

@@ -12,7 +12,8 @@ Standard library and numpy only. Messages have a head, in JSON, and buffers (`xp
                                                         -> {"answers": [null or error, ...]}, a packed map for each null
 
 The method of a request is `infer` or what a client may call; its map holds entries of the wire's payload, and so does
-the map of its answer. An exception is answered by `{"error": {"type", "message", "traceback"}}`, with `"refused": true`
+the map of its answer. An exception is answered by `{"error": {"type", "message", "traceback", "raised_at"}}`, where
+the last are the adapter's own frames (`xpl.wire.error_text.own_frames`), with `"refused": true`
 if the request itself was wrong, `"unserialisable": true` if the result cannot be sent, and `"lacks": {"kind", "name"}`
 if the machine lacks a requirement and the adapter is not at fault (`xpl.worker.missing_requirements`).
 """
@@ -94,7 +95,7 @@ class AdapterWorker:
         try:
             return {"ok": operations[head["op"]](head)}, []
         except _FAILURES as error:
-            return {"error": {**describe(error), **self._missing_requirement(error)}}, []
+            return {"error": self._describe(error)}, []
 
     # -- between requests ----------------------------------------------------------------------------------------------
 
@@ -167,17 +168,20 @@ class AdapterWorker:
                     buffers.append(_pack_answer(request, result, left))
                     left -= len(buffers[-1])
                 except _FAILURES as error:  # also an exception of a library's array type during conversion
-                    answers.append({**describe(error), **self._missing_requirement(error), "unserialisable": True})
+                    answers.append({**self._describe(error), "unserialisable": True})
                 else:
                     answers.append(None)
             else:
                 refused = isinstance(result, (RefusedError, packed.PackingError))
-                answers.append(
-                    {**describe(result), **self._missing_requirement(result), **({"refused": True} if refused else {})}
-                )
+                answers.append({**self._describe(result), **({"refused": True} if refused else {})})
                 # The traceback would keep all objects of its frames alive, and the memory that a client shares.
                 result.__traceback__ = None
         return {"answers": answers}, buffers
+
+    def _describe(self, error: BaseException) -> Head:
+        """Return an exception of the adapter for an answer, with its own lines and what the machine lacks."""
+        own = error_text.own_frames(error, self._policy_dir)
+        return {**describe(error), "raised_at": own, **self._missing_requirement(error)}
 
     def _missing_requirement(self, error: BaseException) -> Head:
         """Return what the machine lacks according to an error; empty if the adapter is at fault."""

@@ -58,6 +58,7 @@ class FrontEndSettings:
         tls: TLS context, or None.
         debug: send tracebacks to clients.
         renew: load the model again for every client.
+        locates_errors: tell clients at which lines of its own files the adapter raised.
     """
 
     host: str
@@ -72,6 +73,7 @@ class FrontEndSettings:
     tls: ssl.SSLContext | None = None
     debug: bool = False
     renew: bool = False
+    locates_errors: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,7 +111,11 @@ class FrontEnd:
         self._settings = settings
         self._changed = asyncio.Event()
         self._request_handler = RequestHandler(
-            debug=settings.debug, monitor=monitor, on_change=self._changed.set, renew=settings.renew
+            debug=settings.debug,
+            monitor=monitor,
+            on_change=self._changed.set,
+            renew=settings.renew,
+            locates_errors=settings.locates_errors,
         )
         self._monitor = monitor
         self._instance = uuid.uuid4().hex

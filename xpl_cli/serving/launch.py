@@ -20,6 +20,7 @@ from xpl.process import spawn
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.serving import fork_server
 from xpl_cli.serving.workers import forked
+from xpl_cli.serving.workers.worker_answers import RAISED_AT, Frame, parse_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -60,10 +61,18 @@ class ServerStartError(UserError):
         reason: one sentence.
         log: last lines of its output.
         lacks: what the machine lacks, if that is why the model could not be loaded.
+        raised_at: frames of the adapter's own files in its error, innermost first, if the server locates errors.
     """
 
-    def __init__(self, reason: str, log: list[str], lacks: MissingRequirement | None = None) -> None:
+    def __init__(
+        self,
+        reason: str,
+        log: list[str],
+        lacks: MissingRequirement | None = None,
+        raised_at: tuple[Frame, ...] = (),
+    ) -> None:
         super().__init__(reason, code=ExitCode.NOT_RUN)
+        self.raised_at = raised_at
         self.reason = reason
         self.log = log
         self.lacks = lacks
@@ -194,7 +203,8 @@ def _wait_ready(server: RunningServer, process: ForkedServer, timeout: float, re
         process.wait()
         reader.join()
         reason = server.last_error or "it printed nothing"
-        raise ServerStartError(reason, list(server.log), MissingRequirement.parse(message.get("lacks")))
+        frames = parse_frames(message.get(RAISED_AT))
+        raise ServerStartError(reason, list(server.log), MissingRequirement.parse(message.get("lacks")), frames)
     server.url, server.also = message["url"], dict(message.get("also", {}))
 
 

@@ -14,6 +14,7 @@ from xpl_cli.serving.payloads import has_images, pack
 from xpl_cli.serving.requests import RequestError, failure_code, method_of, packed_payload
 from xpl_cli.serving.server_log import RateLimitedLog, log, log_lines
 from xpl_cli.serving.workers.job_queue import RequestJob
+from xpl_cli.serving.workers.worker_answers import RAISED_AT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -40,15 +41,23 @@ class RequestHandler:
 
     Args:
         debug: show tracebacks to clients.
+        locates_errors: tell clients at which lines of its own files the adapter raised.
         monitor: records every request; None without metrics and trace.
         on_change: called after every answer.
         renew: load the model again for every client, instead of only resetting it.
     """
 
     def __init__(
-        self, *, debug: bool, monitor: RequestMonitor | None, on_change: Callable[[], None], renew: bool = False
+        self,
+        *,
+        debug: bool,
+        monitor: RequestMonitor | None,
+        on_change: Callable[[], None],
+        renew: bool = False,
+        locates_errors: bool = False,
     ) -> None:
         self._debug = debug
+        self._locates_errors = locates_errors
         self._renew = renew
         self._monitor = monitor
         self._on_change = on_change
@@ -179,16 +188,18 @@ class RequestHandler:
     def job_raised(self, job: RequestJob, error: AdapterException) -> None:
         """Send an exception of the adapter as one sentence; the traceback goes to the log only."""
         # What the machine lacks, or the shadow model cannot do: no fault of the adapter.
-        lacks: Payload = {"lacks": error.lacks} if error.lacks else {}
+        details: Payload = {"lacks": error.lacks} if error.lacks else {}
+        if self._locates_errors and error.raised_at:
+            details[RAISED_AT] = error.raised_at
         if error.unserialisable:
             self._errors.log(error.message)
-            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error.message}", **lacks)
+            refused = RequestError(spec.ErrorCode.INTERNAL, f"the result cannot be sent: {error.message}", **details)
         elif error.refused:
             refused = RequestError(spec.ErrorCode.INVALID_FRAME, error.message)
         else:
             self._errors.log(error.kind, error.traceback)
             text = error.traceback if self._debug else f"{error.kind}: {error.message}"
-            refused = RequestError(failure_code(job.frame), text, **lacks)
+            refused = RequestError(failure_code(job.frame), text, **details)
         self.job_refused(job, refused)
 
     def job_refused(self, job: RequestJob, error: RequestError) -> None:

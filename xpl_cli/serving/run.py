@@ -36,6 +36,7 @@ from xpl_cli.serving.workers import hang_watch
 from xpl_cli.serving.workers.forked import WorkerForks
 from xpl_cli.serving.workers.process import WorkerProcess
 from xpl_cli.serving.workers.worker import ModelLoadError
+from xpl_cli.serving.workers.worker_answers import RAISED_AT, Frame
 
 if TYPE_CHECKING:
     from xpl.contract import Config
@@ -76,6 +77,7 @@ class ServeOptions:
         patience: end an adapter that hangs for so long, s; None means never.
         renew: load the model again for every client.
         also: further wires, each at a port of its own: `NAME` or `NAME:PORT`.
+        locates_errors: tell clients at which lines of its own files the adapter raised; for an audit's own servers.
     """
 
     python: str | None = None
@@ -99,6 +101,7 @@ class ServeOptions:
     patience: float | None = None
     renew: bool = False
     also: Sequence[str] = ()
+    locates_errors: bool = False
 
 
 def run_server(package: Package, overrides: Config, options: ServeOptions) -> None:
@@ -164,6 +167,7 @@ def _settings(package: Package, config: Config, options: ServeOptions) -> FrontE
         tls=server_tls_context(options.tls_cert, options.tls_key),
         debug=options.debug,
         renew=options.renew,
+        locates_errors=options.locates_errors,
     )
 
 
@@ -291,7 +295,8 @@ async def _until_ended(
         return None
     problem = loading.result()
     if problem is not None:
-        _announce_failure(run.package, str(problem), problem.lacks)
+        frames = problem.raised_at if run.options.locates_errors else ()
+        _announce_failure(run.package, str(problem), problem.lacks, frames)
         await _close_connections(front_end, ending, spec.CLOSE_CODES["server_failed"], str(problem))
         return str(problem)
     # Loaded objects stay: garbage collection of them would slow some requests.
@@ -340,8 +345,11 @@ def _close(servers: list[asyncio.Server]) -> None:
         server.close()
 
 
-def _announce_failure(package: Package, reason: str, lacks: Mapping[str, str] | None) -> None:
-    _announce({"event": "failed", "policy": package.name, "reason": reason, "lacks": lacks}, "xpl doctor")
+def _announce_failure(
+    package: Package, reason: str, lacks: Mapping[str, str] | None, raised_at: tuple[Frame, ...] = ()
+) -> None:
+    more = {RAISED_AT: raised_at} if raised_at else {}
+    _announce({"event": "failed", "policy": package.name, "reason": reason, "lacks": lacks, **more}, "xpl doctor")
 
 
 def _announce(event: Mapping[str, object], following: str) -> None:

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL209", requirement="XPL-EPI-3", tries="resets")
+@rule(code="XPL209", requirement="XPL-EPI-3", tries="resets", handler="reset")
 def action_after_reset(probe: Probe) -> Iterator[Finding]:
     """After reset the adapter still returns actions of the previous episode.
 

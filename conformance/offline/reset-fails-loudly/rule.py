@@ -10,7 +10,7 @@ from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL224", requirement="XPL-EPI-4", tries="resets")
+@rule(code="XPL224", requirement="XPL-EPI-4", tries="resets", handler="reset")
 def reset_fails_loudly(in_process_run: InProcessRun) -> Iterator[Finding]:
     """A failed reset is reported as successful.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL210", requirement="XPL-EPI-2", compares=True, tries="resets")
+@rule(code="XPL210", requirement="XPL-EPI-2", compares=True, tries="resets", handler="reset")
 def reset_twice(probe: Probe) -> Iterator[Finding]:
     """A second reset changes the episode.
 

@@ -90,8 +90,10 @@ class Checks:
         try:
             self._facts.get("options").time_limit.check()
             self._require_profile(rule)
+            if (probe := self._facts.computed("probe")) is not None:
+                probe.recorder.recent.clear()
             with self._limited_time() if rule.gate is Gate.STATIC else nullcontext():
-                yielded = tuple(self._facts.call(rule.check))
+                yielded = tuple(self._located(item, rule) for item in self._facts.call(rule.check))
             self._require_responsive(rule, yielded)
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
@@ -107,6 +109,15 @@ class Checks:
         findings = tuple(item for item in yielded if isinstance(item, Finding))
         proof = None if findings else next((item.numbers for item in yielded if isinstance(item, Proof)), None)
         return self._result(rule, outcome_of(findings, rule.severity), findings, proof=proof)
+
+    def _located(self, item: Finding | Proof, rule: Rule) -> Finding | Proof:
+        """Return a finding about a served adapter with the line at which it raised, or of the method that answered."""
+        probe = self._facts.computed("probe") if rule.gate is not Gate.STATIC else None
+        if probe is None or not isinstance(item, Finding):
+            return item
+        from xpl_cli.audit.engine.locations import located  # the static gate needs no client
+
+        return located(item, rule, self._facts.get("source"), probe.recorder)
 
     @contextmanager
     def _limited_time(self) -> Iterator[None]:

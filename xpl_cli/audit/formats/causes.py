@@ -124,15 +124,17 @@ def _grouped(entries: list[ListedFinding]) -> Iterator[Cause]:
 def _keys(entry: ListedFinding, entries: list[ListedFinding]) -> Iterator[Hashable]:
     """Yield what a finding shares with the others of its cause."""
     finding, result = entry.finding, entry.result
+    area = result.requirement.rpartition("-")[0]
     yield "rule", result.code, finding.path
     if finding.located_by != HANDLER:
         if finding.path is not None and finding.line is not None:
             last = finding.line if finding.end_line is None else finding.end_line
             for line in range(finding.line, last + 1) if last - finding.line < _STATEMENT else (finding.line,):
                 yield "line", finding.path, line
+            yield "handler", finding.path, finding.line, area
         return
     for other in entries:
         if other.gate.name is Gate.STATIC and other.result.requirement == result.requirement != "":
             yield "rule", other.result.code, other.finding.path
             return
-    yield "handler", finding.path, finding.line, result.requirement.rpartition("-")[0]
+    yield "handler", finding.path, finding.line, area

@@ -276,6 +276,7 @@ def _with_messages(cause: Cause, room: _Space, details: Sequence[Callable[[Findi
     """Return a cause with its messages: of one rule below its title, of several below their line of the file."""
     text = _head(cause, room)
     is_one = len(cause.by_rule) == 1
+    told: set[str] = set()
     for group in cause.by_rule:
         indent = "    " if is_one else "      "
         if not is_one:
@@ -288,7 +289,10 @@ def _with_messages(cause: Cause, room: _Space, details: Sequence[Callable[[Findi
             lines = [place.finding.line for place in (entry, *others) if place.finding.line is not None]
             where = f"{_numbers(lines)}: " if len(by_message) > 1 and len(cause.lines) > 1 and lines else ""
             text.append(f"\n{indent}{where}{one_line(message)}")
-            text.append("".join(detail(entry.finding, indent) for detail in details), "dim")
+            for detail in details:
+                if (line := detail(entry.finding, indent)) not in told:
+                    text.append(line, "dim")
+                told.add(line)
         if len(by_message) > most:
             text.append(f"\n{indent}and {len(by_message) - most} more")
     return text

@@ -52,6 +52,7 @@ class Rule:
             whatever it is shown.
         tries: what it tries, as a noun phrase, such as `batches that shrink`; several rules may share one. Empty for
             what its requirement is about, as with all rules that only read files.
+        handler: the method that its findings are about where nothing was raised; empty for the one that answered last.
     """
 
     code: str
@@ -65,6 +66,7 @@ class Rule:
     profile: Profile = Profile.SHADOW
     compares: bool = False
     tries: str = ""
+    handler: str = ""
 
     @property
     def severity(self) -> str:
@@ -108,6 +110,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     profile: str = "shadow",
     compares: bool = False,
     tries: str = "",
+    handler: str = "",
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
@@ -117,7 +120,8 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
     this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it; `compares`
     says that it passes because answers are alike. `tries` says in a noun phrase what it tries, for the report's line of
-    what was tried.
+    what was tried; `handler` names the method of the adapter whose line a finding gets if nothing was raised, if that
+    is not the one which answered last.
 
     Raises:
         RegistryError: if it says another gate than its folder, or none where the folder leaves it open.
@@ -137,6 +141,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
             Profile(profile),
             compares,
             tries,
+            handler,
         )
         return check
 

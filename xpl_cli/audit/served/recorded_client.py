@@ -6,6 +6,8 @@ All requests and answers of an audit pass through `AnswerRecorder`, which hashes
 from __future__ import annotations
 
 import hashlib
+from collections import deque
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
@@ -15,6 +17,7 @@ from xpl_cli.audit.rules.time_limit import TimeLimit
 from xpl_cli.audit.served.compare import error_code
 from xpl_cli.audit.served.serving_choice import describe_missing
 from xpl_cli.serving.launch import MissingRequirement
+from xpl_cli.serving.workers.worker_answers import RAISED_AT, Frame, parse_frames
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -22,21 +25,45 @@ if TYPE_CHECKING:
     from xpl import Client
     from xpl.contract import Config, Observation
 
+_MOST_ERRORS = 64
 Answer = Any
 """An answer of a policy: a chunk, a list of chunks, None, or a `PolicyServerError` in place of them.
 
 It is not validated: check it with `compare.is_answer_list` before reading values."""
 
 
+@dataclass(frozen=True)
+class RaisedError:
+    """An exception of the adapter.
+
+    Attributes:
+        text: its message, as clients get it.
+        code: the wire's code of the answer; empty if there was none.
+        frames: frames of the adapter's own files, innermost first: file, line and function.
+    """
+
+    text: str
+    code: str
+    frames: tuple[Frame, ...]
+
+
 class AnswerRecorder:
-    """Hashes requests of an audit and the answers of servers.
+    """Hashes requests of an audit and the answers of servers, and notes where the adapter raised.
 
     Args:
         clock: stops a rule when the time of the audit is over.
+
+    Attributes:
+        last: the operation that was requested last.
+        errors: the latest exceptions of the adapter, in the order of their answers.
+        recent: those of the rule that runs.
     """
 
     def __init__(self, clock: TimeLimit | None = None) -> None:
         self._clock = clock or TimeLimit()
+        self.last = ""
+        self.errors: deque[RaisedError] = deque(maxlen=_MOST_ERRORS)
+        self.recent: list[RaisedError] = []
         self._hash = hashlib.sha256()
 
     def request(self, name: str, ask: Callable[[], Answer]) -> Answer:
@@ -51,16 +78,24 @@ class AnswerRecorder:
             NotRun: if the machine lacks something that the answer needs, or the audit's time is over.
         """
         self._clock.check()
+        self.last = name
         try:
             answer = ask()
         except PolicyServerError as error:
             answer = error
+            self.note(str(error).removeprefix(f"{error.code}: "), error.code, error.details.get(RAISED_AT))
         self._hash.update(name.encode())
         # Texts of errors may hold addresses and paths, so only the code is hashed.
         self._add_to_hash(error_code(answer) if isinstance(answer, PolicyServerError) else answer)
         if isinstance(answer, PolicyServerError) and (lacks := MissingRequirement.parse(answer.details.get("lacks"))):
             raise NotRun(describe_missing(lacks))
         return answer
+
+    def note(self, text: str, code: str, frames: object) -> None:
+        """Note an exception of the adapter, if it went through its own files."""
+        if own := parse_frames(frames):
+            self.errors.append(RaisedError(text, code, own))
+            self.recent = [*self.recent[-_MOST_ERRORS:], self.errors[-1]]
 
     def record(self) -> str:
         """Return the hash of everything so far."""

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 PATIENCE = {sdk.Deploy.MAX_CONNECT_ATTEMPTS: 3, sdk.Deploy.CONNECT_RETRY_DELAY_S: 1}
 """Connection attempts of an audit to a server that reported ready."""
+_LOCATE = "--locate-errors"
 LOAD_S = 600.0
 """Longest time for a model to load, s."""
 
@@ -107,6 +108,7 @@ class Servers(ABC):
                 next_choice = serving_choice.next_choice(self.choice, error, self.options)
                 if next_choice is None:
                     self._problem = error
+                    self.recorder.note(error.reason, "", error.raised_at)
                     raise
                 self.choice = next_choice
 
@@ -199,7 +201,11 @@ class Servers(ABC):
     def describe_end(self, reason: str, log: Sequence[str]) -> str:
         """Return why a server ended, with the line at which the adapter hung, if it did."""
         location = innermost_frame(log, self.package.path.resolve()) if any(words in reason for words in HUNG) else None
-        return reason if location is None else f"{reason}; it stood at {location}"
+        if location is None:
+            return reason
+        file, _, line = location.partition(" in ")[0].rpartition(":")
+        self.recorder.note(reason, "", [[file, int(line), location.partition(" in ")[2]]])
+        return f"{reason}; it stood at {location}"
 
     @property
     def start_problem(self) -> ServerStartError | None:
@@ -271,7 +277,7 @@ class Servers(ABC):
             {**overrides, **bounded_timeouts({**self.config, **overrides})},
             python=self.options.python,
             env=self.options.env or self.choice.env,
-            options=(*(["--shadow"] if self.choice.is_shadow else []), *flags, *self.options.confinement),
+            options=(*(["--shadow"] if self.choice.is_shadow else []), *flags, _LOCATE, *self.options.confinement),
             load_timeout=min(LOAD_S, self.options.time_limit.remaining),
             on_start=on_start,
             forks=self.forks(overrides) if is_forked else None,

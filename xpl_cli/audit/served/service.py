@@ -35,6 +35,7 @@ class ServiceRun:
         chunks: the answers to one scripted episode.
         seconds: time of each, s.
         failure: why the episode ended early, or None.
+        error: the policy's answer to an observation that it did not take, or None.
         processes: the adapter's, during the episode.
         left_group: those of them that had left its process group.
         listening: TCP addresses on which the adapter listened, with the process.
@@ -47,6 +48,7 @@ class ServiceRun:
     chunks: list[Answer] = field(default_factory=list)
     seconds: list[float] = field(default_factory=list)
     failure: str | None = None
+    error: str | None = None
     processes: list[ProcessInfo] = field(default_factory=list)
     left_group: list[tuple[ProcessInfo, str]] = field(default_factory=list)
     listening: list[tuple[str, ProcessInfo]] = field(default_factory=list)
@@ -108,7 +110,7 @@ class ServiceRun:
 
     def _answered(self) -> list[float]:
         if len(self.seconds) < _ASKED:
-            raise NotRun(f"the adapter does not answer a plain observation: {self.failure or 'it gave an error'}")
+            raise NotRun(f"the adapter does not answer a plain observation: {self.failure or self.error}")
         return self.seconds
 
     def _run_episode(self, probe: Probe, url: str) -> bool:
@@ -122,7 +124,8 @@ class ServiceRun:
                     updated, answer = policy.update_obs(obs), policy.get_action()
                     for failed in (updated, answer):
                         if isinstance(failed, PolicyServerError):
-                            self.failure = str(failed) if failed.is_infrastructure_error else None
+                            self.error = str(failed)
+                            self.failure = self.error if failed.is_infrastructure_error else None
                             return True
                     self.seconds.append(time.perf_counter() - started)
                     self.chunks.append(answer)

@@ -98,6 +98,7 @@ def serve(
     isolate: bool = typer.Option(False, "--isolate", help=ISOLATE_HELP, rich_help_panel="Bounds"),
     apart: bool = typer.Option(False, "--apart", help=APART_HELP, rich_help_panel="Bounds"),
     proven: str | None = typer.Option(None, hidden=True),
+    locate_errors: bool = typer.Option(False, "--locate-errors", hidden=True),
     patience: float | None = typer.Option(
         None, min=0.1, metavar="SECONDS", help=PATIENCE_HELP, rich_help_panel="Bounds"
     ),
@@ -141,5 +142,6 @@ def serve(
         patience=patience,
         renew=renew,
         also=also,
+        locates_errors=locate_errors,
     )
     run_server(package.load(policy, overrides).without(unset), overrides, options)

@@ -15,7 +15,13 @@ from xpl_cli.serving.requests import RequestError
 from xpl_cli.serving.server_log import log
 from xpl_cli.serving.workers.job_queue import JobQueue
 from xpl_cli.serving.workers.process import WorkerDiedError
-from xpl_cli.serving.workers.worker_answers import AdapterException, WorkerAnswerError, parse_answers, parse_result
+from xpl_cli.serving.workers.worker_answers import (
+    AdapterException,
+    Frame,
+    WorkerAnswerError,
+    parse_answers,
+    parse_result,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -54,11 +60,13 @@ class ModelLoadError(Exception):
 
     Attributes:
         lacks: what the machine lacks, if that is why: `kind` and `name` (`xpl.worker.missing_requirements`).
+        raised_at: frames of the adapter's own files, innermost first.
     """
 
-    def __init__(self, reason: str, lacks: Mapping[str, str] | None = None) -> None:
+    def __init__(self, reason: str, lacks: Mapping[str, str] | None = None, raised_at: tuple[Frame, ...] = ()) -> None:
         super().__init__(reason)
         self.lacks = lacks
+        self.raised_at = raised_at
 
 
 class ModelWorker:
@@ -116,7 +124,8 @@ class ModelWorker:
             raise ModelLoadError(f"the model could not be loaded: {error}") from None
         if isinstance(offered, AdapterException):
             sys.stderr.write(offered.traceback)
-            raise ModelLoadError(f"the model could not be loaded: {offered.kind}: {offered.message}", offered.lacks)
+            reason = f"the model could not be loaded: {offered.kind}: {offered.message}"
+            raise ModelLoadError(reason, offered.lacks, offered.raised_at)
         self._busy = False
         self.queue = JobQueue(shared=manifest.serving.shared, max_batch=manifest.serving.max_batch)
 

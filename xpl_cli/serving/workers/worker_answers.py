@@ -14,6 +14,12 @@ class WorkerAnswerError(ValueError):
     """A malformed answer; the message says what was expected and what came."""
 
 
+RAISED_AT = "raised_at"
+"""Key of the frames of the adapter's own files; only an audit's own servers pass them on."""
+Frame = tuple[str, int, str]
+"""A frame of a traceback: file relative to the adapter's folder, line, and name of the function."""
+
+
 @dataclass(frozen=True)
 class AdapterException:
     """An exception in a worker (`xpl.worker.main`).
@@ -25,6 +31,7 @@ class AdapterException:
         lacks: what the machine lacks, if that is why: `kind` and `name`.
         refused: the request itself was wrong.
         unserialisable: the result cannot be serialised.
+        raised_at: frames of the adapter's own files, innermost first: file, line and function.
     """
 
     kind: str
@@ -33,6 +40,7 @@ class AdapterException:
     lacks: Mapping[str, str] | None
     refused: bool
     unserialisable: bool
+    raised_at: tuple[Frame, ...] = ()
 
     @classmethod
     def parse(cls, value: object) -> Self:
@@ -47,7 +55,17 @@ class AdapterException:
         if lacks is not None:
             lacks = {name: _require_text(_require_map(lacks, "lacks").get(name), name) for name in ("kind", "name")}
         flags = entries.get("refused") is True, entries.get("unserialisable") is True
-        return cls(kind, message, traceback, lacks, *flags)
+        return cls(kind, message, traceback, lacks, *flags, parse_frames(entries.get(RAISED_AT)))
+
+
+def parse_frames(value: object) -> tuple[Frame, ...]:
+    """Return the frames in a message; those that are none are left out."""
+    frames = value if isinstance(value, (list, tuple)) else ()
+    return tuple(
+        (frame[0], frame[1], frame[2])
+        for frame in frames
+        if isinstance(frame, (list, tuple)) and [type(part) for part in frame] == [str, int, str]
+    )
 
 
 def parse_result(head: Head) -> Head | AdapterException | None:
