@@ -25,7 +25,8 @@ _SECRET = re.compile(
     re.IGNORECASE,
 )
 _KEY = re.compile(
-    r"(?:api|access|secret)_?key[\"']?\]?\s*[=:]\s*[\"']?([A-Za-z0-9+=-]{24,})[\"']?\s*(?:$|[#;,)])", re.IGNORECASE
+    r"(?:api|access|secret)_?key[\"']?\]?\s*[=:]\s*[\"']?([A-Za-z0-9+=-]{24,})[\"']?\s*(?:$|[#;,)])",
+    re.IGNORECASE | re.MULTILINE,
 )
 """What is certainly a credential also where others wrote the code: a key by its name, and long."""
 _ISSUED = re.compile(r"\b(?:hf_[A-Za-z0-9]{30,}|sk-[A-Za-z0-9-]{20,}|gh[pousr]_[A-Za-z0-9]{30,}|AKIA[A-Z0-9]{16})\b")
@@ -34,6 +35,11 @@ _HINTS = (
     *(f"gh{kind}_" for kind in "pousr"),
 )
 """One of these stands, in small letters, in whatever the patterns find, but for addresses."""
+_VENDORED_HINTS = (
+    *(f"{kind}{joint}key" for kind in ("api", "access", "secret") for joint in ("_", "")),
+    *("hf_", "sk-", "akia", "ghp_", "gho_"),
+)
+"""One of these stands, in small letters, in whatever `_ISSUED` and `_KEY` find."""
 _ANYBODY = frozenset(
     ("user", "username", "you", "your", "your_name", "yourname", "me", "name", "xxx", "someone", "example")
 )
@@ -87,7 +93,7 @@ def _vendored(source: Source) -> Iterator[Finding]:
     key = address = False
     for name, text in vendored.texts(source):
         small = text.lower()
-        may_hold = not key and any(hint in small for hint in ("key", "hf_", "sk-", "akia", "ghp_", "gho_"))
+        may_hold = not key and any(hint in small for hint in _VENDORED_HINTS)
         may_lead = not address and name.endswith(".sh") and _ADDRESS.search(text) is not None
         for number, line in enumerate(text.split("\n"), start=1) if may_hold or may_lead else ():
             issued = (_ISSUED.search(line[:2000]) or _KEY.search(line[:2000])) if may_hold and not key else None

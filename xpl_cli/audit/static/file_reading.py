@@ -87,11 +87,15 @@ def resolve_inside(package: Path, name: str) -> str | None:
 
     Two names of one file give one result, so that a folder that links to itself is not counted twice.
     """
+    inside = f"{package}{os.sep}"
+    path = inside + name
     try:
-        file = (package / name).resolve()
-        return file.relative_to(package).as_posix() if file.is_relative_to(package) and file.is_file() else None
-    except (OSError, RuntimeError, ValueError):  # a loop of links, a name that no file can have
+        if not os.path.isfile(path):  # noqa: PTH113 - most imports are of no file here, and a Path takes longer
+            return None
+        real = os.path.realpath(path)  # noqa: PTH - likewise
+    except (OSError, ValueError):  # a loop of links, a name that no file can have
         return None
+    return real.removeprefix(inside).replace(os.sep, "/") if real.startswith(inside) else None
 
 
 def decode_text(data: bytes, *, python: bool) -> tuple[str, str | None]:
