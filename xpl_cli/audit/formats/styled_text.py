@@ -27,10 +27,12 @@ class OutputStyle:
     Attributes:
         width: columns; None if lines are not wrapped, as in a file.
         colour: whether styles are shown.
+        height: lines; None if that is not known.
     """
 
     width: int | None = None
     colour: bool = False
+    height: int | None = None
 
     @classmethod
     def of(cls, stream: TextIO) -> Self:
@@ -41,7 +43,8 @@ class OutputStyle:
             colour = False
         elif os.environ.get("FORCE_COLOR"):
             colour = True
-        return cls(shutil.get_terminal_size().columns if is_terminal else None, colour)
+        size = shutil.get_terminal_size() if is_terminal else None
+        return cls(size.columns, colour, size.lines) if size is not None else cls(None, colour)
 
 
 @dataclass

@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 _SCREEN = 29
 """Lines of a screen for findings; head, verdict and next commands take the rest."""
 
+_REST = 11
+"""Lines of a terminal that are not for findings."""
+
 _AROUND = 5
 """Lines of a screen that gates and what was tried may take besides."""
 
@@ -110,12 +113,14 @@ class _Space:
     Attributes:
         lines, width: of the screen.
         is_file: whether the output is a file, so that nothing is left out or shortened.
+        has_headings: whether findings have their harm as a heading; not where several targets share a screen.
         source: lines of the files with findings.
     """
 
     lines: int
     width: int
     is_file: bool
+    has_headings: bool
     source: SourceLines = field(default_factory=SourceLines)
 
 
@@ -130,8 +135,10 @@ def on_terminal(reports: Sequence[TargetReport], context: ReportContext, termina
     by_target: dict[int, list[Cause]] = {}
     for cause in causes(listed_findings(reports, context)):
         by_target.setdefault(id(cause.first.target), []).append(cause)
-    lines = max(_LEAST, _SCREEN // max(1, len(by_target)))
-    room = _Space(lines if terminal.width else _PAGES * lines, width, is_file=terminal.width is None)
+    screen = max(_SCREEN, (terminal.height or 0) - _REST)
+    lines = max(_LEAST, screen // max(1, len(by_target)))
+    is_file = terminal.width is None
+    room = _Space(_PAGES * lines if is_file else lines, width, is_file, has_headings=is_file or len(reports) == 1)
     parts: list[StyledText] = []
     for report in reports:
         again = audit_again([report], context)
@@ -171,7 +178,7 @@ def _target(report: TargetReport, found: list[Cause], room: _Space, again: str, 
     fitting = _fit(found, room)
     harm = ""
     for cause, block in fitting:
-        if cause.harm.name != harm and report.kind != DEMONSTRATIONS:
+        if room.has_headings and cause.harm.name != harm and report.kind != DEMONSTRATIONS:
             lines.append(StyledText.of((f"{cause.harm.sentence}:", "bold")))
         harm = cause.harm.name
         lines.append(block)
@@ -252,7 +259,7 @@ def _waived(gate: GateReport) -> list[StyledText]:
 
 def _fit(found: list[Cause], room: _Space) -> list[tuple[Cause, StyledText]]:
     """Return as many causes as fit, with as many details as fit; in a file all causes."""
-    headings = len({cause.harm.name for cause in found})
+    headings = len({cause.harm.name for cause in found}) if room.has_headings else 0
     blocks: list[tuple[Cause, StyledText]] = []
     for failure, warning in _LAYOUTS:
         blocks = [(cause, (failure if cause.fails else warning)(cause, room)) for cause in found]
