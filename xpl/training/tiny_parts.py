@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 ARX_X5 = (0.0, 1.5, 1.5, 0.0, 0.0, 0.0, 0.5)
@@ -84,6 +85,49 @@ def qwen_tokenizer(more: Sequence[str] = ()) -> Any:
         additional_special_tokens=[*QWEN[1:], *more],
         chat_template=CHAT,
     )
+
+
+def save_qwen3_vl(folder: Path, width: int) -> None:
+    """Save a Qwen3-VL of three narrow layers with a tokenizer of bytes, and its processor.
+
+    Args:
+        folder: as which repository of the hub the authors' code reads it.
+        width: of its hidden states, a multiple of 16.
+    """
+    from transformers import (
+        Qwen2VLImageProcessorFast,
+        Qwen3VLConfig,
+        Qwen3VLForConditionalGeneration,
+        Qwen3VLProcessor,
+        Qwen3VLVideoProcessor,
+    )
+
+    words = qwen_tokenizer()
+    sizes = {"size": {"shortest_edge": 65536, "longest_edge": 16777216}, "patch_size": 16, "temporal_patch_size": 2}
+    halves = {"image_mean": [0.5] * 3, "image_std": [0.5] * 3}
+    images, videos = Qwen2VLImageProcessorFast(**sizes, **halves), Qwen3VLVideoProcessor(**sizes, **halves)
+    Qwen3VLProcessor(images, words, videos, CHAT).save_pretrained(folder)
+    first, last, _, image, video = words.convert_tokens_to_ids(QWEN[3:])
+    common = {"hidden_size": width, "intermediate_size": 2 * width, "initializer_range": width**-0.5}
+    text = {
+        **common,
+        "vocab_size": len(words),
+        "num_hidden_layers": 3,
+        "num_attention_heads": 4,
+        "num_key_value_heads": 2,
+        "head_dim": 16,
+        "rope_scaling": {"rope_type": "default", "mrope_interleaved": True, "mrope_section": [4, 2, 2]},
+    }
+    vision = {
+        **common,
+        "depth": 2,
+        "num_heads": 4,
+        "out_hidden_size": width,
+        "num_position_embeddings": 256,
+        "deepstack_visual_indexes": [0],
+    }
+    settings = Qwen3VLConfig(text, vision, image, video, first, last, tie_word_embeddings=True)
+    Qwen3VLForConditionalGeneration(settings).save_pretrained(folder)
 
 
 def few(weight: Any) -> Any:

@@ -38,10 +38,10 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     from gr00t.model.gr00t_n1d7.processing_gr00t_n1d7 import Gr00tN1d7Processor
 
     from xpl import hub
-    from xpl.training.tiny_parts import ARX_X5, moments
+    from xpl.training.tiny_parts import ARX_X5, moments, save_qwen3_vl
 
     name = config["cosmos_model_path"]
-    write_vlm(folder / hub.FOLDER / name.replace("/", "--"))
+    save_qwen3_vl(folder / hub.FOLDER / name.replace("/", "--"), WIDTH)
     hub.pack(folder / hub.FOLDER)  # the model's constructor loads it by its name
     settings = Gr00tN1d7Config(
         model_name=name,
@@ -95,43 +95,3 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         max_action_horizon=settings.action_horizon,
         use_relative_action=True,
     ).save_pretrained(folder / "checkpoint-1")
-
-
-def write_vlm(folder: Path) -> None:
-    """Write a Qwen3-VL with a tokenizer of bytes, and its processor."""
-    from transformers import (
-        Qwen2VLImageProcessorFast,
-        Qwen3VLConfig,
-        Qwen3VLForConditionalGeneration,
-        Qwen3VLProcessor,
-        Qwen3VLVideoProcessor,
-    )
-
-    from xpl.training.tiny_parts import CHAT, QWEN, qwen_tokenizer
-
-    words = qwen_tokenizer()
-    sizes = {"size": {"shortest_edge": 65536, "longest_edge": 16777216}, "patch_size": 16, "temporal_patch_size": 2}
-    halves = {"image_mean": [0.5] * 3, "image_std": [0.5] * 3}
-    images, videos = Qwen2VLImageProcessorFast(**sizes, **halves), Qwen3VLVideoProcessor(**sizes, **halves)
-    Qwen3VLProcessor(images, words, videos, CHAT).save_pretrained(folder)
-    first, last, _, image, video = words.convert_tokens_to_ids(QWEN[3:])
-    common = {"hidden_size": WIDTH, "intermediate_size": 2 * WIDTH, "initializer_range": WIDTH**-0.5}
-    text = {
-        **common,
-        "vocab_size": len(words),
-        "num_hidden_layers": 3,
-        "num_attention_heads": 4,
-        "num_key_value_heads": 2,
-        "head_dim": WIDTH // 4,
-        "rope_scaling": {"rope_type": "default", "mrope_interleaved": True, "mrope_section": [4, 2, 2]},
-    }
-    vision = {
-        **common,
-        "depth": 2,
-        "num_heads": 4,
-        "out_hidden_size": WIDTH,
-        "num_position_embeddings": 256,
-        "deepstack_visual_indexes": [0],
-    }
-    settings = Qwen3VLConfig(text, vision, image, video, first, last, tie_word_embeddings=True)
-    Qwen3VLForConditionalGeneration(settings).save_pretrained(folder)
