@@ -9,6 +9,7 @@ import itertools
 import re
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.causes import Cause, causes
@@ -225,8 +226,9 @@ def _clause(reason: str, report: TargetReport) -> str:
 
 
 def _reason(reason: str, report: TargetReport, most: int = _REASON) -> str:
-    """Return a reason on one short line, with paths relative to the package."""
-    return shortened(one_line(reason).replace(f"{report.path}/", ""), most)
+    """Return a reason on one short line, with paths of the package relative to it."""
+    folders = "|".join(re.escape(str(folder)) for folder in (Path(report.path).absolute(), report.path))
+    return shortened(re.sub(rf"(?<![^\s'\"`(=])({folders})/", "", one_line(reason)), most)
 
 
 def _unproved(gate: GateReport, report: TargetReport) -> Iterator[StyledText]:

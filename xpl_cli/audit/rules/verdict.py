@@ -407,7 +407,7 @@ def _doubt_of(result: RuleResult) -> str | None:
         return f"findings of {result.code} are waived"
     if result.findings:
         return f"{result.code} found {count_noun(len(result.findings), 'difference')}"
-    return None if result.outcome is Outcome.PASS else result.reason
+    return None if result.outcome is Outcome.PASS else result.brief or result.reason
 
 
 def _count_places(entries: Sequence[str], noun: str, what: str) -> str:

@@ -112,7 +112,7 @@ def _advice(lacks: Iterable[str]) -> tuple[str, ...]:
 
 def _brief(description: str) -> str:
     """Return a description without the paths that were tried and the advice."""
-    return description.partition(": tried ")[0].partition("; `xpl checkpoint fetch`")[0]
+    return description.partition(": tried ")[0].partition("; `xpl ")[0]
 
 
 def _describe_missing_checkpoint(described: str, config: Mapping[str, object], policy_dir: Path) -> str:
