@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tests.audit.formats import sample
 from xpl_cli.audit.formats import ReportContext, as_json, render
-from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.causes import CauseEntry, causes
 from xpl_cli.audit.formats.listing import listed_findings
 from xpl_cli.audit.rules.gates import Gate
 from xpl_cli.audit.rules.model import HANDLER, TRACEBACK, Finding, GateReport, Outcome, RuleResult, TargetReport
@@ -15,14 +15,14 @@ from xpl_cli.standard.validate import validate
 CONTEXT = ReportContext(Path("/nowhere"), rule=sample.RULES.__getitem__)
 
 
-def of(**results: tuple[RuleResult, ...]) -> tuple[TargetReport, list[Cause]]:
+def of(**results: tuple[RuleResult, ...]) -> tuple[TargetReport, list[CauseEntry]]:
     """Return a report with the results of some gates, and its causes."""
     gates = [GateReport(Gate(name), list(found)) for name, found in results.items()]
     report = TargetReport("policy/Foo", "Foo", "policy", gates)
     return report, causes(listed_findings([report], CONTEXT))
 
 
-def titles(found: list[Cause]) -> list[tuple[str, tuple[int, ...]]]:
+def titles(found: list[CauseEntry]) -> list[tuple[str, tuple[int, ...]]]:
     return [(cause.title, cause.lines) for cause in found]
 
 

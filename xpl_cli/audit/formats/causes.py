@@ -26,7 +26,7 @@ _STATEMENT = 6
 
 
 @dataclass(frozen=True)
-class Cause:
+class CauseEntry:
     """The findings of one target that have one cause.
 
     Attributes:
@@ -88,7 +88,7 @@ class Cause:
         return self.first.title if len(self.by_rule) == 1 else self.codes
 
 
-def causes(entries: Iterable[ListedFinding]) -> list[Cause]:
+def causes(entries: Iterable[ListedFinding]) -> list[CauseEntry]:
     """Return the causes of findings, target by target: the most harmful first, then failures before warnings."""
     by_target: dict[int, list[ListedFinding]] = {}
     for entry in entries:
@@ -96,11 +96,11 @@ def causes(entries: Iterable[ListedFinding]) -> list[Cause]:
     return [cause for found in by_target.values() for cause in sorted(_grouped(found), key=_order)]
 
 
-def _order(cause: Cause) -> tuple[int, bool]:
+def _order(cause: CauseEntry) -> tuple[int, bool]:
     return cause.harm.rank, not cause.fails
 
 
-def _grouped(entries: list[ListedFinding]) -> Iterator[Cause]:
+def _grouped(entries: list[ListedFinding]) -> Iterator[CauseEntry]:
     """Yield the causes of one target's findings, in the order of their first findings."""
     leaders = list(range(len(entries)))  # the first finding of each one's cause, so far as known
 
@@ -118,7 +118,7 @@ def _grouped(entries: list[ListedFinding]) -> Iterator[Cause]:
     for index, entry in enumerate(entries):
         groups.setdefault(leader(index), []).append(entry)
     for members in groups.values():
-        yield Cause(tuple(sorted(members, key=lambda entry: (not entry.fails, entry.result.harm.rank))))
+        yield CauseEntry(tuple(sorted(members, key=lambda entry: (not entry.fails, entry.result.harm.rank))))
 
 
 def _keys(entry: ListedFinding, entries: list[ListedFinding]) -> Iterator[Hashable]:

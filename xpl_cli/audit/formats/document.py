@@ -6,7 +6,7 @@ import json
 from typing import TYPE_CHECKING
 
 from xpl_cli import __version__
-from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.causes import CauseEntry, causes
 from xpl_cli.audit.formats.coverage import Coverage
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, join_path, listed_findings, repository_name
 from xpl_cli.audit.formats.next_steps import advice, next_commands
@@ -89,7 +89,7 @@ def _target(
     }
 
 
-def _cause(cause: Cause) -> dict[str, object]:
+def _cause(cause: CauseEntry) -> dict[str, object]:
     return {
         "harm": cause.harm.name,
         "outcome": (Outcome.FAIL if cause.fails else Outcome.WARN).value,

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.causes import CauseEntry, causes
 from xpl_cli.audit.formats.listing import ListedFinding, ReportContext, listed_findings, notes, unproven_rules, verdicts
 from xpl_cli.audit.formats.next_steps import audit_again
 from xpl_cli.audit.rules.model import Outcome
@@ -57,7 +57,7 @@ def _annotations(reports: Sequence[TargetReport], context: ReportContext) -> Ite
         yield kind, command(kind, f"{open_end.path}: {open_end.text}", title=open_end.title)
 
 
-def _text(cause: Cause) -> str:
+def _text(cause: CauseEntry) -> str:
     """Return the messages and details of a cause's findings, with the rule and line of each if there are several."""
     if len(cause.entries) == 1:
         return cause.first.text

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import quote_from_bytes
 
 from xpl_cli import __version__
-from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.causes import CauseEntry, causes
 from xpl_cli.audit.formats.linehash import line_hashes
 from xpl_cli.audit.formats.listing import (
     ListedFinding,
@@ -121,7 +121,7 @@ def _describe_rule(rule: Rule | type[DemonstrationCheck]) -> dict[str, object]:
 
 
 def _result(
-    entry: ListedFinding, cause: Cause, rule_indices: dict[str, int], hashes: _LineHashCache
+    entry: ListedFinding, cause: CauseEntry, rule_indices: dict[str, int], hashes: _LineHashCache
 ) -> dict[str, object]:
     finding = entry.finding
     # Code scanning distinguishes alerts by this one key. If there is no line to compute it from, it is our own.

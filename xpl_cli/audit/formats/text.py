@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from xpl_cli.audit.formats.causes import Cause, causes
+from xpl_cli.audit.formats.causes import CauseEntry, causes
 from xpl_cli.audit.formats.coverage import Coverage
 from xpl_cli.audit.formats.listing import (
     ListedFinding,
@@ -133,7 +133,7 @@ def render(reports: Sequence[TargetReport], context: ReportContext) -> str:
 def on_terminal(reports: Sequence[TargetReport], context: ReportContext, terminal: OutputStyle) -> str:
     """Return the report for a terminal."""
     width = min(terminal.width or _WIDTH, _WIDTH)
-    by_target: dict[int, list[Cause]] = {}
+    by_target: dict[int, list[CauseEntry]] = {}
     for cause in causes(listed_findings(reports, context)):
         by_target.setdefault(id(cause.first.target), []).append(cause)
     screen = max(_SCREEN, (terminal.height or 0) - _REST)
@@ -156,7 +156,9 @@ def on_terminal(reports: Sequence[TargetReport], context: ReportContext, termina
     return "".join(f"{part.render(terminal)}\n" for part in parts)
 
 
-def _target(report: TargetReport, found: list[Cause], room: _Space, again: str, *, alone: bool) -> list[StyledText]:
+def _target(
+    report: TargetReport, found: list[CauseEntry], room: _Space, again: str, *, alone: bool
+) -> list[StyledText]:
     """Return the part of one target: short if it is one of several, one line if it then has no findings."""
     name, path = one_line(report.name), one_line(report.path)
     verdict = verdict_of(report)
@@ -259,10 +261,10 @@ def _waived(gate: GateReport) -> list[StyledText]:
     return lines
 
 
-def _fit(found: list[Cause], room: _Space) -> list[tuple[Cause, StyledText]]:
+def _fit(found: list[CauseEntry], room: _Space) -> list[tuple[CauseEntry, StyledText]]:
     """Return as many causes as fit, with as many details as fit; in a file all causes."""
     headings = len({cause.harm.name for cause in found}) if room.has_headings else 0
-    blocks: list[tuple[Cause, StyledText]] = []
+    blocks: list[tuple[CauseEntry, StyledText]] = []
     for failure, warning in _LAYOUTS:
         blocks = [(cause, (failure if cause.fails else warning)(cause, room)) for cause in found]
         ends = list(itertools.accumulate(block.height(room.width) for _, block in blocks))
@@ -271,17 +273,19 @@ def _fit(found: list[Cause], room: _Space) -> list[tuple[Cause, StyledText]]:
     return blocks if room.is_file else blocks[: max(1, sum(end + headings <= room.lines for end in ends))]
 
 
-def _with_evidence(cause: Cause, room: _Space) -> StyledText:
+def _with_evidence(cause: CauseEntry, room: _Space) -> StyledText:
     """Return a cause with its messages, what was expected and what came, evidence and fixes."""
     return _with_messages(cause, room, (_evidence, _fix))
 
 
-def _with_fix(cause: Cause, room: _Space) -> StyledText:
+def _with_fix(cause: CauseEntry, room: _Space) -> StyledText:
     """Return a cause with its messages and fixes."""
     return _with_messages(cause, room, (_fix,))
 
 
-def _with_messages(cause: Cause, room: _Space, details: Sequence[Callable[[Finding, str], str]] = ()) -> StyledText:
+def _with_messages(
+    cause: CauseEntry, room: _Space, details: Sequence[Callable[[Finding, str], str]] = ()
+) -> StyledText:
     """Return a cause with its messages: of one rule below its title, of several below their line of the file."""
     text = _head(cause, room)
     is_one = len(cause.by_rule) == 1
@@ -317,7 +321,7 @@ def _evidence(finding: Finding, indent: str) -> str:
     return "".join(f"\n{indent}{line}" for line in lines)
 
 
-def _on_one_line(cause: Cause, room: _Space) -> StyledText:
+def _on_one_line(cause: CauseEntry, room: _Space) -> StyledText:
     """Return a cause on one line, or on two if its path alone fills one; in a file each finding on a line."""
     if room.is_file:
         text = StyledText()
@@ -334,7 +338,7 @@ def _on_one_line(cause: Cause, room: _Space) -> StyledText:
     return head.append(f"  {shortened(one_line(cause.first.finding.message), max(_LEAST_TOLD, most))}")
 
 
-def _head(cause: Cause, room: _Space) -> StyledText:
+def _head(cause: CauseEntry, room: _Space) -> StyledText:
     """Return the first line of a cause: the rule and its lines, or the line that several rules point to."""
     place = cause.located.finding
     where = _location(cause.first.target, place.path, cause.lines)
