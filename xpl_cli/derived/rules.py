@@ -26,6 +26,8 @@ _PAGES: Final = {
     "6": ("advice", "Advice", "What other tools say of an adapter's files; only where it is selected."),
 }
 """The first digit of a code: name, title and introduction of its page."""
+_CONTINUED: Final = {"7": "1"}
+"""First digits whose codes continue those of another page, which are used up."""
 _DATA: Final = (
     "demonstrations",
     "Demonstrations",
@@ -43,7 +45,8 @@ def pages() -> dict[str, str]:
     """Return all pages by file name: an index, and a page per hundred codes."""
     found: dict[str, list[Rule]] = {digit: [] for digit in _PAGES}
     for rule in (entry.load() for entry in builtin_entries()):
-        found[rule.code.removeprefix(OUR_CODES)[0]].append(rule)
+        digit = rule.code.removeprefix(OUR_CODES)[0]
+        found[_CONTINUED.get(digit, digit)].append(rule)
     written = {"README": _index(found)}
     for digit, members in found.items():
         name, title, introduction = _PAGES[digit]

@@ -1,4 +1,4 @@
-"""XPL199: get_action returns a list of action steps with the keys of the standard."""
+"""XPL703: get_action returns a list of action steps with the keys of the standard."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _SHOWN = 6
 _MAP = "a map where a list belongs: loops that play a chunk fail on it"
 
 
-@rule(code="XPL199", requirement="XPL-ACT-1")
+@rule(code="XPL703", requirement="XPL-ACT-1")
 def action_form(source: Source) -> Iterator[Finding]:
     """get_action returns something else than a list of action steps with the keys of the standard.
 

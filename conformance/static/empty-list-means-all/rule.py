@@ -10,7 +10,7 @@ from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACT_BATCH, ModelClass
 from xpl_cli.audit.static.positions import names_of_list
 from xpl_cli.audit.static.source import Source
-from xpl_cli.audit.static.syntax import always_raises, parameters, targets
+from xpl_cli.audit.static.syntax import always_raises, enclosing, parameters, targets
 
 
 @rule(code="XPL110", requirement="XPL-BAT-2")
@@ -61,7 +61,9 @@ def empty_list_means_all(source: Source) -> Iterator[Finding]:
             )
         elif isinstance(node, ast.If):
             held = next((alias for alias in sorted(aliases) if _is_not(node.test, alias)), None)
-            if held is None or any(_knows_none(function.node, alias, node) for alias in aliases):
+            if held is None or _where_none(node, function, name):
+                continue
+            if any(_knows_none(function.node, alias, node) for alias in aliases):
                 continue
             consequence = _consequence(node, held)
             if consequence is not None:
@@ -108,6 +110,16 @@ def _consequence(node: ast.If, name: str) -> str | None:
     if any(_is(target, name) for entry in node.body for target in targets(entry)):
         return "acts as if no list were given"
     return None
+
+
+def _where_none(node: ast.If, function: Function, name: str) -> bool:
+    """Tell whether a test stands where no list was given: in the branch of `if x is None`."""
+    inner: ast.AST = node
+    for outer in enclosing(node, function.up):
+        if isinstance(outer, ast.If) and inner in outer.body and ast.unparse(outer.test) == f"{name} is None":
+            return True
+        inner = outer
+    return False
 
 
 def _knows_none(function: ast.AST, name: str, before: ast.If) -> bool:

@@ -48,7 +48,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     `run-1-other` and `run-10`), or through all folders below; for functions that get the requested step and, without an
     error if it is missing, select an entry by position, such as the last; for files that are taken from any
     neighbouring run that has one; for lists of places, in code and in scripts, of which the first that exists is taken,
-    although it does not depend on what was asked for; and for a `ckpt_name` that no code reads.
+    although it does not depend on what was requested; and for a `ckpt_name` that no code reads.
 
     ## Why it matters
     The results of an evaluation are then those of other weights than its label says. It happens, unnoticed, if a
@@ -67,7 +67,7 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
     yield from _substituted(source, adapter)
     if not adapter.is_sdk and is_unread(adapter, sdk.Deploy.CKPT_NAME):
         yield Finding(
-            f"no code reads {sdk.Deploy.CKPT_NAME}: whichever checkpoint is asked for, the same one is evaluated",
+            f"no code reads {sdk.Deploy.CKPT_NAME}: whichever checkpoint is requested, the same one is evaluated",
             **source.start(adapter.file, adapter.node),
             expected=f"the checkpoint that {sdk.Deploy.CKPT_NAME} names, or an error",
             got="a configuration of which other keys are read",
@@ -103,12 +103,12 @@ def other_checkpoint(source: Source) -> Iterator[Finding]:
 
 
 def _substituted(source: Source, adapter: ModelClass) -> Iterator[Finding]:
-    """Yield files that are taken although they are not what was asked for."""
+    """Yield files that are taken although they are not what was requested."""
     expected = "an error that names the missing checkpoint"
-    fix = Fix("advice", "look for what was asked for only, and raise an error if it is missing")
+    fix = Fix("advice", "look for what was requested only, and raise an error if it is missing")
     for one in substitutes(adapter):
         yield Finding(
-            f"if {one.asked} does not exist, {ast.unparse(one.node)} is loaded in its place",
+            f"if {one.requested} does not exist, {ast.unparse(one.node)} is loaded in its place",
             **source.at(one.function.file, one.node),
             expected=expected,
             got=ast.unparse(one.node),
@@ -124,7 +124,7 @@ def _substituted(source: Source, adapter: ModelClass) -> Iterator[Finding]:
         )
     for found in scripted_substitutes(source):
         yield Finding(
-            f"of {found.asked} and {found.other} the first that exists is used, which may not be what was asked for",
+            f"of {found.requested} and {found.other} the first that exists is used, which may not be the requested one",
             path=found.file,
             line=found.line,
             column=1,
@@ -161,7 +161,7 @@ def _patterns(listed: list[ast.Call]) -> Iterator[tuple[ast.Call, str]]:
 
 
 def _given(function: Function) -> set[str]:
-    """Return the names that hold the step that was asked for: read from the configuration, or an optional parameter."""
+    """Return the names that hold the step that was requested: read from the configuration, or an optional parameter."""
     arguments = function.node.args
     every = [*arguments.posonlyargs, *arguments.args]
     defaults = dict(zip(reversed(every), reversed(arguments.defaults), strict=False))
@@ -266,7 +266,7 @@ def _denies(test: ast.expr, steps: set[str]) -> bool | None:
 
 
 def _neighbours(function: Function) -> Iterator[ast.For]:
-    """Yield loops over the folder above the one that was asked for, which take a file of the first run that has one."""
+    """Yield loops over the folder above the one that was requested, which take a file of the first run that has one."""
     above = {name for name, value in assigned(function.nodes).items() if _leads_up(value)}
     for loop in function.of(ast.For):
         listing = next((call for call in ast.walk(loop.iter) if last(called(call)) in _LISTS), None)

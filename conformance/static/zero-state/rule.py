@@ -1,4 +1,4 @@
-"""XPL197: A state that an observation lacks is an error."""
+"""XPL701: A state that an observation lacks is an error."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OBSERVED: Final = frozenset((sdk.Obs.STATE, sdk.Payload.OBS, "observation", "pr
 """Words of a name that holds an observation, or a part of it."""
 
 
-@rule(code="XPL197", requirement="XPL-OBS-3")
+@rule(code="XPL701", requirement="XPL-OBS-3")
 def zero_state(source: Source) -> Iterator[Finding]:
     """A state that an observation lacks is replaced by zeros.
 

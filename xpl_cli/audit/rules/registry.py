@@ -37,8 +37,8 @@ class Rule:
     """One check of one requirement.
 
     Attributes:
-        code: `XPL1xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages, `XPL5xx` the
-            audit itself, `XPL6xx` advice of general tools; a package's rules have other letters.
+        code: `XPL1xx` and `XPL7xx` static, `XPL2xx` offline, `XPL3xx` MuJoCo, `XPL4xx` environment packages,
+            `XPL5xx` the audit itself, `XPL6xx` advice of general tools; a package's rules have other letters.
         slug: name for people; the rule's folder in `GATE/`.
         gate: where it runs; the first where it runs in several.
         requirement: id of what it proves; its level gives the severity.

@@ -1,4 +1,4 @@
-"""Files that are searched in several places: the one that was asked for, and others that are taken if it is missing."""
+"""Files that are searched in several places: the one that was requested, and others that are taken if it is missing."""
 
 from __future__ import annotations
 
@@ -24,33 +24,33 @@ _BUILDS: Final = frozenset(
 _REQUEST: Final = re.compile(
     r"ckpt|checkpoint|weight|model_(?:path|dir)|stats|statistics|prefer|run_dir", re.IGNORECASE
 )
-"""Names of what a run asks for."""
+"""Names of what a run requests."""
 
 
 class Substitute(NamedTuple):
-    """A place that is looked at if what was asked for is not there.
+    """A place that is looked at if what was requested is not there.
 
     Attributes:
         function, node: where it is.
-        asked: the place that was asked for, as it is written.
+        requested: the place that was requested, as it is written.
     """
 
     function: Function
     node: ast.expr
-    asked: str
+    requested: str
 
 
 def substitutes(adapter: ModelClass) -> Iterator[Substitute]:
-    """Yield, in what loading reaches, places that do not depend on what was asked for, behind one that does."""
+    """Yield, in what loading reaches, places that do not depend on what was requested, behind one that does."""
     reads = {id(setting.read.node): str(setting.read.key) for setting in adapter.settings}
     for function in adapter.reach(*LOADING):
-        asked = _asked(function, reads)
+        requested = _requested(function, reads)
         for places in (*_branches(function), *_lists(function)):
             for place, node in enumerate(places):
-                wanted = next((one for one in places[:place] if _names(one, function) & asked), None)
+                wanted = next((one for one in places[:place] if _names(one, function) & requested), None)
                 if wanted is None or ast.unparse(node) in {ast.unparse(part) for part in ast.walk(wanted)}:
-                    continue  # the folder of what was asked for may be what was asked for itself
-                if not _names(node, function) & asked:
+                    continue  # the folder of what was requested may be what was requested itself
+                if not _names(node, function) & requested:
                     yield Substitute(function, node, ast.unparse(wanted))
                     break
 
@@ -66,8 +66,8 @@ def nested_listings(adapter: ModelClass) -> Iterator[tuple[Function, ast.Call, s
                 yield function, call, pattern
 
 
-def _asked(function: Function, reads: dict[int, str]) -> set[str]:
-    """Return the names of a function that hold what a run asks for: from the configuration or the environment."""
+def _requested(function: Function, reads: dict[int, str]) -> set[str]:
+    """Return the names of a function that hold what a run requests: from the configuration or the environment."""
     found = {name for name in parameters(function.node) if _REQUEST.search(name)}
     for node in function.of(ast.Assign):
         parts = list(ast.walk(node.value))

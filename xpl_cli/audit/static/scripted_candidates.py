@@ -1,4 +1,4 @@
-"""Files that a script searches in several places, of which some do not depend on the checkpoint that was asked for."""
+"""Files that a script searches in several places, of which some do not depend on the checkpoint that was requested."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _ARGUMENT: Final = re.compile(r"[1-9]")
 
 
 class ScriptedSubstitute(NamedTuple):
-    """A place that is taken if the one that was asked for is missing, or before it.
+    """A place that is taken if the one that was requested is missing, or before it.
 
     Attributes:
         line: of the loop.
-        asked: a place that depends on the checkpoint that was asked for.
+        requested: a place that depends on the checkpoint that was requested.
         other: one that does not.
     """
 
     file: str
     line: int
-    asked: str
+    requested: str
     other: str
 
 
@@ -44,13 +44,13 @@ def scripted_substitutes(source: Source) -> Iterator[ScriptedSubstitute]:
         if not name.endswith(".sh"):
             continue
         text = source.text(name)
-        asked = _asked(text)
+        requested = _requested(text)
         for loop in _LOOP.finditer(text):
             if not re.search(rf"-[fde] +\"?\$\{{?{loop['entry']}\b", loop["body"]):
                 continue
             places = _places(text, loop)
-            wanted = [place for place in places if _depends(place, asked)]
-            others = [place for place in places if "$" in place and not _depends(place, asked)]
+            wanted = [place for place in places if _depends(place, requested)]
+            others = [place for place in places if "$" in place and not _depends(place, requested)]
             if wanted and others:
                 yield ScriptedSubstitute(name, text.count("\n", 0, loop.start()) + 1, wanted[0], others[0])
 
@@ -65,7 +65,7 @@ def _places(text: str, loop: re.Match[str]) -> list[str]:
     return [word.strip('"') for words in lists for word in _WORD.findall(words)]
 
 
-def _asked(text: str) -> set[str]:
+def _requested(text: str) -> set[str]:
     """Return the variables that depend on the name of the checkpoint, and the arguments of functions."""
     found = {sdk.Deploy.CKPT_NAME}
     assignments = [(match[1], match[2]) for match in _ASSIGNMENT.finditer(text)]
@@ -76,5 +76,5 @@ def _asked(text: str) -> set[str]:
     return found
 
 
-def _depends(value: str, asked: set[str]) -> bool:
-    return any(name in asked or _ARGUMENT.fullmatch(name) for name in _EXPANSION.findall(value))
+def _depends(value: str, requested: set[str]) -> bool:
+    return any(name in requested or _ARGUMENT.fullmatch(name) for name in _EXPANSION.findall(value))

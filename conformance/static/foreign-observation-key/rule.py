@@ -1,4 +1,4 @@
-"""XPL198: The adapter needs nothing of an observation that the standard does not have."""
+"""XPL702: The adapter needs nothing of an observation that the standard does not have."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from xpl_cli.audit.static.syntax import texts
 from xpl_cli.standard import spec
 
 
-@rule(code="XPL198", requirement="XPL-OBS-1")
-def observation_names(source: Source) -> Iterator[Finding]:
+@rule(code="XPL702", requirement="XPL-OBS-1")
+def foreign_observation_key(source: Source) -> Iterator[Finding]:
     """The adapter requires a key that observations of the standard do not have.
 
     ## What it does
