@@ -30,7 +30,6 @@ WIDTH = 64
 def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any]) -> None:
     """Write the checkpoint; `gain` scales the weights that read an input."""
     adapter = import_module("XPolicyLab.policy.GR00T_N17.model")  # which makes the vendored code importable
-    adapter._load_modality_config(config["env_cfg_type"])  # noqa: SLF001
     import torch
     from gr00t.configs.data.embodiment_configs import MODALITY_CONFIGS
     from gr00t.configs.model.gr00t_n1d7 import Gr00tN1d7Config
@@ -75,13 +74,15 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         vlm.language_model.embed_tokens.weight *= gain("instruction")
     model.save_pretrained(folder / "checkpoint-1")
     tag = "new_embodiment"
+    MODALITY_CONFIGS.pop(tag, None)  # it is registered once, and each model of the adapter does so
+    adapter._load_modality_config(config["env_cfg_type"])  # noqa: SLF001
     arms = ("left_arm", "right_arm")
     spread = {
         "state": dict.fromkeys(arms, moments(ARX_X5, 0.5)),
         **dict.fromkeys(("action", "relative_action"), dict.fromkeys(arms, moments([0.0] * len(ARX_X5), 0.05))),
     }
     Gr00tN1d7Processor(
-        {tag: MODALITY_CONFIGS.pop(tag)},  # which the adapter registers itself, once
+        {tag: MODALITY_CONFIGS.pop(tag)},
         {tag: spread},
         model_name=name,
         use_percentiles=settings.use_percentiles,
