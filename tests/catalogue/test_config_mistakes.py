@@ -16,6 +16,7 @@ from tests.support.adapters.planted import RecordedEpisodes
 from tests.support.checkout import ROOT
 from xpl import catalogue
 from xpl.action import ActionError
+from xpl.conventions import camera
 from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.model_io.difference import differences, spreads
@@ -168,3 +169,23 @@ def test_changes_of_a_pose_may_have_the_range_of_robosuites_controller() -> None
     planted = {**block, "action": {**block["action"], "normalize": {**block["action"]["normalize"], "values": wrong}}}
     found = in_block(catalogue.AdapterCase(get_embodiment("panda_libero"), "ee", planted))
     assert any(changed["action"].get("normalize", {}).get("values") == right for _, changed in found)
+
+
+def test_a_checkpoint_names_the_inputs_that_its_model_knows(tmp_path: Path) -> None:
+    """A model may take an image of an unknown name for a camera that is missing."""
+    features = {"observation.images.wrist": {"shape": [3, 4, 4]}, "observation.state": {}, "action": {}}
+    (tmp_path / "config.json").write_text(json.dumps({"input_features": features, "resize": {"image_size": [4, 4]}}))
+    (tmp_path / "tiny.json").write_text(json.dumps({"observation.images.other": {}}))
+    (tmp_path / "broken.json").write_text("{")
+    block = {
+        "images": [{"input": "observation.images.left_wrist", "cameras": ["cam_wrist"], "channels": "rgb"}],
+        "action": {},
+    }
+    case = catalogue.AdapterCase(get_embodiment("franka_single"), "joint", block=block, folders=[tmp_path])
+    found = [one for one in camera.CONVENTION.config_mistakes(case) if "input" in one.description]
+    assert [(one.description, dict(one.edits or {})) for one in found] == [
+        (
+            "input: observation.images.wrist, not observation.images.left_wrist",
+            {("images", 0, "input"): "observation.images.wrist"},
+        )
+    ]

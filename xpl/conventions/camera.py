@@ -3,19 +3,29 @@
 from __future__ import annotations
 
 import itertools
+import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from xpl import checkpoint, json_text
 from xpl.catalogue import AdapterCase, Convention, Mistake, image_changes, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from xpl.catalogue.edits import Block
     from xpl.catalogue.mistake import BlockPath
 
 _NAME = "camera"
+_INPUT = re.compile(r"[\w./-]*(?:image|cam|rgb|view|wrist)[\w./-]*", re.IGNORECASE)
+"""Names that inputs of images have."""
+_OWN_FILES = frozenset(("golden_pairs.json", checkpoint.TINY))
+"""Files that are not the model's, and name cameras."""
+_MOST_NAMES = 12
+_MOST_FILES = 20
+_MOST_BYTES = 1 << 20
 
 
 def _likely(one: str, other: str) -> int:
@@ -36,6 +46,49 @@ def _config_mistakes(case: AdapterCase) -> Iterator[Mistake]:
         yield Mistake(_likely(one, other), f"cameras: {one} and {other} exchanged", _NAME, edits)
     for index, entry in enumerate(entries):
         yield from _camera_mistakes(index, entry, case.embodiment.cameras)
+    yield from _input_name_mistakes(entries, case.folders)
+
+
+def _input_name_mistakes(entries: Sequence[Block], folders: Sequence[Path]) -> Iterator[Mistake]:
+    """Yield other names of inputs: a model may take an image that it does not know for a camera that is missing."""
+    own = [entry["input"] for entry in entries]
+    names = [name for name in _configured_names(folders) if name not in own]
+    for index, now in enumerate(own):
+        alike = [name for name in names if _stem(now) in (now, _stem(name))]
+        for name in alike[:_MOST_NAMES]:
+            yield Mistake(1, f"input: {name}, not {now}", _NAME, {("images", index, "input"): name})
+
+
+def _stem(name: str) -> str:
+    """Return what comes before the last part of a dotted name or a path."""
+    return re.split(r"[./](?=[^./]*$)", name)[0]
+
+
+def _configured_names(folders: Sequence[Path]) -> list[str]:
+    """Return the names of inputs of images in the JSON files of a checkpoint."""
+    names: dict[str, None] = {}
+    files = [path for folder in folders if folder.is_dir() for path in sorted(folder.glob("*.json"))]
+    for path in [path for path in files if path.name not in _OWN_FILES][:_MOST_FILES]:
+        if path.stat().st_size <= _MOST_BYTES:
+            try:
+                names.update(dict.fromkeys(_input_names(json_text.parse(path.read_text(encoding="utf-8")))))
+            except (OSError, ValueError, RecursionError):
+                continue
+    return list(names)
+
+
+def _input_names(value: Any) -> Iterator[str]:
+    """Yield keys of maps, and texts of lists, that may name an input."""
+    if isinstance(value, dict):
+        yield from (key for key, item in value.items() if isinstance(item, (dict, list)) and _INPUT.fullmatch(key))
+        for item in value.values():
+            yield from _input_names(item)
+    elif isinstance(value, list):
+        for item in value:
+            if isinstance(item, str) and _INPUT.fullmatch(item):
+                yield item
+            elif isinstance(item, (dict, list)):
+                yield from _input_names(item)
 
 
 def _camera_mistakes(index: int, entry: Block, robot_cameras: Sequence[str]) -> Iterator[Mistake]:
