@@ -3,7 +3,7 @@
 The audit's mistake search uses it for an adapter that converts in code: the images, texts and vectors that `encode`
 returns are changed, while `decode` gets the observations as they are. The answer to each change has "answers", the
 chunks of all inferences; "apart", the distance of the images from the unchanged ones; "draws", the number of draws;
-"words", a more precise description of the change, if there is one; or an "error".
+"words" and "convention", a more precise description of the change, if there is one; or an "error".
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from xpl.wire.arrays import as_array
 from xpl.worker.block_answers import replay_from_start
 from xpl.worker.encoded import pictures, turns, vectors
 from xpl.worker.encoded.draws import EnvGenerators
+from xpl.worker.encoded.left_out import CodeParts
 from xpl.worker.encoded.rebuilt import RebuiltImages
 from xpl.worker.encoded.repeats import StepOncePerObservation
 from xpl.worker.encoded.segments import RenormalizedSegments
@@ -128,7 +129,28 @@ def _once(model: Policy, _how: Entry, calls: Sequence[Mapping[str, Any]]) -> byt
     return pack_result({"answers": answers})
 
 
-_WHOLE = {"drawn": _drawn, "once": _once}
+_CODE: dict[int, CodeParts] = {}
+"""The parts of the code of a model, by its id."""
+
+
+def _left_out(model: Policy, how: Entry, calls: Sequence[Mapping[str, Any]]) -> bytes:
+    """Return the answers without a part of the adapter's code, packed.
+
+    Raises:
+        NoEffectError: there is no such part, or it changes nothing.
+    """
+
+    def replay() -> list[Any]:
+        return list(replay_from_start(model, calls))
+
+    parts = _CODE.get(id(model)) or _CODE.setdefault(id(model), CodeParts(model.policy_dir, replay))
+    with parts.without(how["number"]):
+        answers = replay()
+    told = {"words": parts.words(how["number"]), "convention": parts.convention(how["number"])}
+    return pack_result({"answers": answers, **told})
+
+
+_WHOLE = {"drawn": _drawn, "once": _once, "left_out": _left_out}
 """Changes that run the model by themselves, by kind."""
 
 

@@ -2,8 +2,9 @@
 
 The mistakes of the catalogue are tried in this order until one explains the difference: other values of the model_io
 block, if the adapter converts by its block alone; for conversions in code, changes of actions, which need no inference,
-of the inputs that `encode` returns, and of observations. Then mistakes that lower the difference are undone and
-combined with others. The time is limited: a finding without a cause is still a finding.
+parts of the code that are left out, changes of the inputs that `encode` returns, and of
+observations. Then mistakes that lower the difference are undone and combined with others. The time is limited: a
+finding without a cause is still a finding.
 """
 
 from __future__ import annotations
@@ -103,7 +104,14 @@ class ParitySearch:
 
     def _run(self) -> ParitySearchResult | None:
         results: list[ParitySearchResult] = []
-        for search in (self._by_block, self._by_commands, self._by_inputs, self._by_observations):
+        searches = (
+            self._by_block,
+            self._by_commands,
+            self._by_code,
+            self._by_inputs,
+            self._by_observations,
+        )
+        for search in searches:
             explanation = search()
             if explanation is None:
                 continue
@@ -175,6 +183,15 @@ class ParitySearch:
         fits += fit_rigid(self._episodes, judgement.shares, judgement.spread, judgement.tolerance, self._tool)
         fit = self._scorer.explain_tried(fits)
         return fit if fit.cause is not None or (fit.partial and not explanation.partial) else explanation
+
+    def _by_code(self) -> Explanation | None:
+        """Return the explanation by a part of the adapter's code that should not be there; None if the time is over."""
+        if self._families.seconds_left <= 0:
+            return None
+        family = self._families.code_family()
+        ranking = rank(family, self._scorer)
+        self._tried.append((family, ranking))
+        return self._scorer.explain_ranking(ranking)
 
     def _by_inputs(self) -> Explanation | None:
         """Return the explanation by changes of encoded inputs; None if the time is over."""

@@ -47,13 +47,14 @@ class _WorkerAnswer:
 
     Attributes:
         answers: of each question.
-        words: what the change is, if the process knows better.
+        words, convention: what the change is, if the process knows better.
         apart: how far pictures are from those before.
         draws: how many times something was drawn.
     """
 
     answers: Sequence[Chunk] | None = None
     words: str | None = None
+    convention: str | None = None
     apart: float = 0.0
     draws: int | None = None
 
@@ -61,7 +62,9 @@ class _WorkerAnswer:
     def read(cls, entry: Entry | None) -> Self:
         if entry is None:
             return cls()
-        return cls(entry["answers"], entry.get("words"), entry.get("apart", 0.0), entry.get("draws"))
+        return cls(
+            entry["answers"], entry.get("words"), entry.get("convention"), entry.get("apart", 0.0), entry.get("draws")
+        )
 
 
 class LoadedAdapter:
@@ -126,7 +129,7 @@ class LoadedAdapter:
         return [
             MistakeAnswers(
                 change.description if result.words is None else result.words,
-                _convention_of(change, self._nearest),
+                _convention_of(change, self._nearest) if result.convention is None else result.convention,
                 self._by_number(result.answers, questions) if result.answers else None,
             )
             for change, result in tried

@@ -33,6 +33,10 @@ _MANY: Final = 0.45
 _FEW: Final = 0.9
 """Shares of the remaining time for changes of encoded inputs: for all of them, and for the promising ones."""
 
+_CODE: Final = 0.3
+"""Share for the parts of an adapter's code."""
+_PARTS: Final = 128
+"""Most parts of an adapter's code that are left out."""
 _ALONE: Final = frozenset(("drawn", "once"))
 """Kinds of changes of encoded inputs that cannot be combined with others."""
 _LITTLE_S: Final = 15.0
@@ -214,11 +218,26 @@ class MistakeFamilies:
 
     def input_family(self) -> MistakeFamily:
         """Return changes of the inputs that the adapter's `encode` returns."""
-        return self._family_of_inputs(list(catalogue.input_mistakes(self.case)))
+        return self.family_of_inputs(list(catalogue.input_mistakes(self.case)))
 
-    def _family_of_inputs(
-        self, candidates: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()
-    ) -> MistakeFamily:
+    def code_family(self) -> MistakeFamily:
+        """Return the parts of the adapter's code, each left out; the process that has loaded it describes them."""
+        candidates = [
+            Mistake(1, f"part {number} of the code", "", input_change={"kind": "left_out", "number": number})
+            for number in range(_PARTS)
+        ]
+
+        def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
+            share = _CODE if len(chosen) == len(candidates) else _FEW
+            yield from self.loaded.answers_by_input_change(
+                [candidates[number] for number in chosen], questions, share * self.seconds_left
+            )
+
+        return MistakeFamily(candidates, ask)
+
+    def family_of_inputs(self, candidates: Sequence[Mistake], numbers: Sequence[tuple[int, int]] = ()) -> MistakeFamily:
+        """Return a family of changes of the inputs that the adapter's `encode` returns."""
+
         def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             # The last family needs time, too; the few that are left are likely to hold the mistake.
             share = _MANY if len(chosen) == len(candidates) else _FEW
@@ -235,6 +254,6 @@ class MistakeFamilies:
                 }:
                     paired.append((one, other))
                     made.append(replace(candidates[one], input_change={"kind": "several", "of": changes}, geometry=""))
-            return self._family_of_inputs(made, paired)
+            return self.family_of_inputs(made, paired)
 
         return MistakeFamily(candidates, ask, both, numbers)
