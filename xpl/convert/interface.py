@@ -116,14 +116,17 @@ class Interface:
         Raises:
             ObservationError: the observation lacks something that the model reads.
         """
-        inputs: dict[str, Any] = {item.name: item.encode(obs) for item in self.images}
-        state = obs.get(spec.Obs.STATE)
+        images = {item.name: item.encode(obs) for item in self.images}
+        return {**images, **self.encode_state(obs, memory), **self._text(obs)}
+
+    def encode_state(self, obs: Observation, memory: Memory | None = None) -> dict[str, np.ndarray]:
+        """Return the state vectors among the inputs of `encode`."""
+        state, inputs = obs.get(spec.Obs.STATE), {}
         if self.states and not isinstance(state, Mapping):
             raise ObservationError(f"the observation has no {spec.Obs.STATE!r} map")
         for name, vector in self.states.items():
             pieces = [self._read_part(item, state or {}, name, memory) for item in vector.parts]
             inputs[name] = vector.normalize(np.concatenate(pieces)).astype(np.float32)
-        inputs.update(self._text(obs))
         return inputs
 
     def batch(self, encodings: Sequence[Sequence[Mapping[str, Any]] | Mapping[str, Any]]) -> dict[str, Any]:

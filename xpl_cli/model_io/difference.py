@@ -99,6 +99,19 @@ def differences(golden: Answers, given: PartialAnswers, spread: Mapping[str, flo
     return result
 
 
+def aligned_differences(golden: Sequence[Step], given: Sequence[Step]) -> dict[str, np.ndarray]:
+    """Return by number of an action the differences of a chunk from the golden one, (steps,).
+
+    Quaternions of either sign are the same rotation.
+    """
+    golden_columns, given_columns = columns([golden]), columns([given])
+    result = {}
+    for key, values in golden_columns.items():
+        far = _align_signs(key, given_columns[key], values) - values
+        result.update({f"{key}[{index}]": far[:, index] for index in range(values.shape[1])})
+    return result
+
+
 def _largest(shares: np.ndarray) -> float:
     finite = shares[~np.isnan(shares)]
     return float(finite.max(initial=0.0)) if 3 * len(finite) >= len(shares) else np.inf

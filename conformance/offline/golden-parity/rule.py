@@ -26,9 +26,10 @@ def golden_parity(parity: Parity) -> Iterator[Finding | Proof]:
     batch-size-dependent floating-point error: within 2 % of the range, and absent if its environment runs alone. For a
     model that samples without a seed, means and standard deviations of many actions are compared. If something differs,
     perturbations for the usual mistakes of all conventions, of the model_io block or of observations, model inputs and
-    actions, are tried one by one and then in pairs, and those that reduce the difference are named. If nothing differs,
-    the same perturbations show how clearly such a mistake would have been detected, and which conventions the pairs
-    leave undetermined.
+    actions, are tried one by one and then in pairs, and those that reduce the difference are named. So are parts of the
+    adapter's own code, each left out in a copy that runs, and numbers of the state, whose scale and offset are fitted.
+    If nothing differs, the perturbations show how clearly such a mistake would have been detected, and which
+    conventions the pairs leave undetermined.
 
     ## Why it matters
     An audit that compares an adapter with itself does not detect that blue and red, degrees and radians or two arms are

@@ -2,7 +2,7 @@
 
 The mistakes of the catalogue are tried in this order until one explains the difference: other values of the model_io
 block, if the adapter converts by its block alone; for conversions in code, changes of actions, which need no inference,
-parts of the code that are left out, changes of the inputs that `encode` returns, and of
+parts of the code that are left out, other scales of the state, changes of the inputs that `encode` returns, and of
 observations. Then mistakes that lower the difference are undone and combined with others. The time is limited: a
 finding without a cause is still a finding.
 """
@@ -22,6 +22,7 @@ from xpl.conventions.point import tool
 from xpl.convert import ConversionError
 from xpl_cli.audit.offline.parity.golden_scorer import GoldenPairScorer
 from xpl_cli.audit.offline.parity.observation_search import ObservationSearch
+from xpl_cli.audit.offline.parity.state_fit import StateFit
 from xpl_cli.audit.offline.search.mistake_families import ExplainsAll, MistakeFamilies, ReadInputs
 from xpl_cli.audit.offline.search.ranking import MistakeFamily, rank
 from xpl_cli.audit.offline.search.replay import overrides
@@ -55,6 +56,8 @@ _FIRSTS: Final = 6
 """Mistakes of a family that are combined with some others, ..."""
 _EASED: Final = 60
 """... and how many others."""
+_FIT: Final = 0.35
+"""Share of the remaining time for the fit of the state."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,7 @@ class ParitySearch:
             self._by_block,
             self._by_commands,
             self._by_code,
+            self._by_state,
             self._by_inputs,
             self._by_observations,
         )
@@ -189,6 +193,17 @@ class ParitySearch:
         if self._families.seconds_left <= 0:
             return None
         family = self._families.code_family()
+        ranking = rank(family, self._scorer)
+        self._tried.append((family, ranking))
+        return self._scorer.explain_ranking(ranking)
+
+    def _by_state(self) -> Explanation | None:
+        """Return the explanation by numbers of the state in another scale; None if nothing was fitted."""
+        seconds = self._families.seconds_left
+        found = StateFit(self._families, self._replay, self._judgement, _FIT * seconds).mistakes() if seconds else []
+        if not found:
+            return None
+        family = self._families.family_of_inputs(found)
         ranking = rank(family, self._scorer)
         self._tried.append((family, ranking))
         return self._scorer.explain_ranking(ranking)
