@@ -56,8 +56,9 @@ _FIRSTS: Final = 6
 """Mistakes of a family that are combined with some others, ..."""
 _EASED: Final = 60
 """... and how many others."""
+_BLOCK: Final = 0.5
 _FIT: Final = 0.35
-"""Share of the remaining time for the fit of the state."""
+"""Shares of the remaining time for the block, and for the fit of the state."""
 
 
 @dataclass(frozen=True)
@@ -146,14 +147,14 @@ class ParitySearch:
         explanation = self._by_words(self._scorer.leaves_nothing)
         if explanation is None or explanation.cause is not None:
             return explanation
-        ((family, ranking),) = self._tried
-        if len(ranking.first_round) == len(family.mistakes) or self._families.seconds_left <= 0:
+        ((_, ranking),) = self._tried
+        if not any(map(self._scorer.leaves_nothing, ranking.first_round)) or self._families.seconds_left <= 0:
             return explanation
         # A value that explains one question does not explain others: try all values.
         return self._by_words(lambda _answered: False)
 
     def _by_words(self, explains_all: ExplainsAll) -> Explanation | None:
-        family = self._families.block_family(explains_all=explains_all)
+        family = self._families.block_family(explains_all=explains_all, share=_BLOCK)
         ranking = None if family is None else rank(family, self._scorer)
         if family is None or ranking is None or not self._families.by_block:
             return None

@@ -122,17 +122,19 @@ class MistakeFamilies:
         self,
         predicate: Callable[[Mistake], bool] = lambda _one: True,
         explains_all: ExplainsAll = lambda _answered: False,
+        share: float = 1.0,
     ) -> MistakeFamily | None:
         """Return the mistakes that other values of the block undo; None without a block that fits.
 
         Args:
             predicate: selects the mistakes.
             explains_all: stops the search: mistakes less likely than one for which this holds are skipped.
+            share: of the remaining time, for the first round.
         """
         if self._block_mistakes is None:
             return None
         return self._family_of_blocks(
-            [pair for pair in self._block_mistakes if predicate(pair[0])], explains_all=explains_all
+            [pair for pair in self._block_mistakes if predicate(pair[0])], explains_all=explains_all, share=share
         )
 
     @functools.cached_property
@@ -150,22 +152,22 @@ class MistakeFamilies:
         candidates: Sequence[tuple[Mistake, Mapping[str, Any]]],
         numbers: Sequence[tuple[int, int]] = (),
         explains_all: ExplainsAll = lambda _answered: False,
+        share: float = 1.0,
     ) -> MistakeFamily:
-        def answers_under(chosen: Sequence[int], questions: Sequence[int]) -> list[MistakeAnswers]:
-            answers = self.loaded.answers_by_block(
-                [candidates[number][1] for number in chosen], questions, self.seconds_left
-            )
+        def answers_under(chosen: Sequence[int], questions: Sequence[int], seconds: float) -> list[MistakeAnswers]:
+            answers = self.loaded.answers_by_block([candidates[number][1] for number in chosen], questions, seconds)
             self.by_block = self.by_block and answers is not None
             labels = [(candidates[number][0].description, candidates[number][0].convention) for number in chosen]
             return [MistakeAnswers(*one, by_question) for one, by_question in zip(labels, answers or [], strict=False)]
 
         def ask(chosen: Sequence[int], questions: Sequence[int]) -> Iterator[MistakeAnswers]:
             if len(chosen) < len(candidates):
-                yield from answers_under(chosen, questions)
+                yield from answers_under(chosen, questions, self.seconds_left)
                 return
+            until = (1.0 - share) * self.seconds_left
             for _, group in itertools.groupby(chosen, lambda number: candidates[number][0].rank):
                 numbers = list(group)
-                results = answers_under(numbers, questions)
+                results = answers_under(numbers, questions, max(self.seconds_left - until, 0.0))
                 yield from results
                 if len(results) < len(numbers) or any(map(explains_all, results)):
                     return
