@@ -88,6 +88,7 @@ class GoldenPairScorer(Scorer):
         right = [number for number in self.all_questions if not judgement.differs[number]]
         largest = max(largest_by_question[number] for number in wrong)
         informative = [number for number in wrong if largest_by_question[number] >= _PROMISING * largest]
+        informative.sort(key=lambda number: (len(self._replay.with_earlier([number])), number))  # the quickest first
         chosen = list(dict.fromkeys([informative[0], *right[:1], *informative[1:], *wrong]))[:_FEW]
         return chosen[:1], chosen
 

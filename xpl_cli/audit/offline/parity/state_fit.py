@@ -27,10 +27,12 @@ if TYPE_CHECKING:
 _QUESTIONS: Final = 3
 _STEP: Final = 0.01
 """Of the range of a number, by which it is moved to differentiate."""
+_DISTINCT: Final = 4
+"""Answers are rounded if fewer than a fourth of their differences are distinct."""
 _LEAST_STEP: Final = 1e-4
 _SUPPORT: Final = 4
 """Most numbers that are fitted one by one."""
-_HINT: Final = 0.2
+_HINT: Final = 0.5
 """Least share of the difference that numbers must explain to first order."""
 _STARTS: Final = (1.0, 0.1, 0.25, 0.5, 2.0, 4.0, 10.0, -1.0)
 """Scales from which a fit begins; the best one counts."""
@@ -81,7 +83,7 @@ class StateFit:
 
     def mistakes(self) -> list[Mistake]:
         """Return the scales and offsets with which the answers are the golden ones; empty if there are none."""
-        if not self._numbers or not self._questions:
+        if not self._numbers or not self._questions or self._is_rounded:
             return []
         start, slopes = self._start, self._differentiate(range(len(self._numbers)), _identity(len(self._numbers)))
         if start is None or slopes is None:
@@ -217,6 +219,14 @@ class StateFit:
             elif (one := next(answers, None)) is not None:
                 found.append(self._residual(one.answers))
         return found
+
+    @cached_property
+    def _is_rounded(self) -> bool:
+        """Whether answers are rounded, as those in half precision: small changes of the state change none of them."""
+        if self._start is None:
+            return False
+        differences = self._start[np.abs(self._start) > 0]
+        return _DISTINCT * len(np.unique(differences.round(9))) < differences.size
 
     @cached_property
     def _start(self) -> np.ndarray | None:
