@@ -73,6 +73,7 @@ class CodeParts:
         self._active: int | None = None
         self._before: dict[int, Any] | None = None
         self._after: Any = None
+        self._conventions: dict[int, str] = {}
         own = os.path.realpath(folder) + os.sep
         for module in list(sys.modules.values()):
             path = getattr(module, "__file__", None)
@@ -106,7 +107,10 @@ class CodeParts:
     def convention(self, place: int) -> str:
         """Return the convention of a part that was left out, by what it did to its value; "" if that does not tell."""
         number = self.numbers[place]
-        return convention_of_change(self._seen.get(number), self._after) or _by_text(self._parts[number].text)
+        if number not in self._conventions:  # with the first calls, with which values were seen
+            found = convention_of_change(self._seen.get(number), self._after)
+            self._conventions[number] = found or _by_text(self._parts[number].text)
+        return self._conventions[number]
 
     # -- called by the adapter's code ----------------------------------------------------------------------------------
 
@@ -117,6 +121,8 @@ class CodeParts:
         if self._after is None:
             self._after = _kept(value)
             before = self._seen.get(number)
+            if number in self._seen and _kind(before) != _kind(self._after):  # of which a model may make anything
+                raise NoEffectError("it is something else")
             is_array = isinstance(before, np.ndarray) and isinstance(self._after, np.ndarray)
             if is_array and _are_equal(
                 before, self._after
@@ -348,6 +354,13 @@ def _kept(value: Any) -> Any:
         return value
     found = list(leaves(value))
     return found[0].copy() if len(found) == 1 and not isinstance(found[0], str) else value
+
+
+def _kind(value: Any) -> str:
+    """Return what a kept value is: an image, an array of as many axes, or its type."""
+    if isinstance(value, np.ndarray):
+        return f"{value.ndim} axes" if channel_axis(value) is None else "image"
+    return type(value).__name__
 
 
 def _are_equal(one: Any, other: Any) -> bool:
