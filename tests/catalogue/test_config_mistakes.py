@@ -16,7 +16,7 @@ from tests.support.adapters.planted import RecordedEpisodes
 from tests.support.checkout import ROOT
 from xpl import catalogue
 from xpl.action import ActionError
-from xpl.conventions import camera
+from xpl.conventions import camera, image_size
 from xpl.convert import ConversionError, compile_interface
 from xpl.embodiment import get_embodiment
 from xpl_cli.model_io.difference import differences, spreads
@@ -189,3 +189,12 @@ def test_a_checkpoint_names_the_inputs_that_its_model_knows(tmp_path: Path) -> N
             {("images", 0, "input"): "observation.images.wrist"},
         )
     ]
+
+
+def test_a_model_may_resize_what_the_block_turns_and_resizes() -> None:
+    """Without its resize the model gets the camera's own size, whatever other steps are left."""
+    steps = [{"mirror": "left_right"}, {"resize": {"to": [8, 8], "filter": "area"}}]
+    block = {"images": [{"input": "image", "cameras": ["cam_head"], "steps": steps}], "action": {}}
+    case = catalogue.AdapterCase(get_embodiment("franka_single"), "joint", block=block)
+    found = {one.description: one.edits for one in image_size.CONVENTION.config_mistakes(case)}
+    assert found["no resize"] == {("images", 0, "steps"): steps[:1]}

@@ -226,7 +226,7 @@ class StateFit:
         if self._start is None:
             return False
         differences = self._start[np.abs(self._start) > 0]
-        return _DISTINCT * len(np.unique(differences.round(9))) < differences.size
+        return bool(_DISTINCT * len(np.unique(differences.round(9))) < differences.size)
 
     @cached_property
     def _start(self) -> np.ndarray | None:
