@@ -72,6 +72,8 @@ def test_a_root_of_not_run_is_told_once_and_short() -> None:
         f"  not run, XPL203, XPL204: {root}",
         "  not run, XPL260: pairs.npz cannot be read",
     ]
+    told = render("github", [TargetReport("policy/Foo", "Foo", "policy", [gate])], CONTEXT)
+    assert told.count(root) == 1
     document = as_json([TargetReport("policy/Foo", "Foo", "policy", [gate])], CONTEXT)
     assert validate(document, "audit") == []
     assert document["targets"][0]["gates"][0]["untried"][0] == {

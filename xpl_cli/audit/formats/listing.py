@@ -163,11 +163,12 @@ def notes(reports: Sequence[TargetReport], context: ReportContext) -> Iterator[t
 
 
 def by_reason(gate: GateReport, outcomes: set[Outcome]) -> dict[tuple[Outcome, str], list[RuleResult]]:
-    """Return the results of a gate with these outcomes, grouped by outcome and reason."""
+    """Return the results of a gate with these outcomes, grouped by outcome and by the root of the reason."""
     groups: dict[tuple[Outcome, str], list[RuleResult]] = {}
     for result in gate.results:
         if result.outcome in outcomes:
-            groups.setdefault((result.outcome, result.reason or "no reason is known"), []).append(result)
+            reason = result.brief or result.reason or "no reason is known"
+            groups.setdefault((result.outcome, reason), []).append(result)
     return groups
 
 
