@@ -52,7 +52,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     write_tokenizer(folder / "hf_processor")
     with initialize_config_dir(config_dir=str(root / "configs"), version_base="1.3"):
         settings = compose("train", ["task=robodojo_arx_x5_joint", "output_dir=.", "exp_name=tiny", "logger.task=tiny"])
-    OmegaConf.set_struct(settings, False)
+    OmegaConf.set_struct(settings, value=False)
     settings.data.embodiment_datasets.robodojo.dataset_groups = []
     rope = {"mrope_section": [2, 1, 1]}
     layers = {"num_hidden_layers": 2, "num_attention_heads": 2, "num_key_value_heads": 1, "head_dim": 32}
@@ -94,21 +94,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     weights.parent.mkdir()
     loaded = load_config_from_run_dir(folder, str(weights), ["model.model_arch.discrete_action=false"])
     policy = instantiate(loaded.model.model_arch)
-    model = policy.model
-    with torch.no_grad():
-        model.vision_tower.patch_embed.proj.weight *= 8 * max(
-            gain(f"cam_{name}") for name in ("head", "left_wrist", "right_wrist")
-        )
-        model.vlm.input_proj.weight *= gain("instruction")
-        model.proprio_embedder.mlp[3].weight.normal_(std=0.1 * gain("state"))
-        for name, layer in model.action_expert.named_modules():
-            if name.endswith(".dense"):  # scales, shifts and gates, which its authors begin with zeros
-                layer.bias.normal_(0.5, 0.2)
-        for layer in (*model.vlm.layers, *model.action_expert.layers):
-            if hasattr(layer, "self_attn"):  # attention that depends on what a token is
-                layer.self_attn.q_norm.weight.fill_(3.0)
-                layer.self_attn.v_proj.weight *= 4
-        model.action_expert.output_proj.weight.normal_(std=0.2)
+    scale(policy.model, gain)
     torch.save({"model_state_dict": policy.state_dict()}, weights)
     arm, gripper = spread(ARM, 0.1), spread([0.5], 0.2)
     parts = {"left_arm": arm, "left_gripper": gripper, "right_arm": arm, "right_gripper": gripper}
@@ -123,6 +109,26 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         },
     }
     (folder / "dataset_stats.json").write_text(json.dumps({"robodojo": stats}))
+
+
+def scale(model: Any, gain: Callable[[str], float]) -> None:
+    """Scale the weights that read an input, and draw those that its authors begin with zeros."""
+    import torch
+
+    with torch.no_grad():
+        model.vision_tower.patch_embed.proj.weight *= 8 * max(
+            gain(f"cam_{name}") for name in ("head", "left_wrist", "right_wrist")
+        )
+        model.vlm.input_proj.weight *= gain("instruction")
+        model.proprio_embedder.mlp[3].weight.normal_(std=0.1 * gain("state"))
+        for name, layer in model.action_expert.named_modules():
+            if name.endswith(".dense"):  # scales, shifts and gates, which its authors begin with zeros
+                layer.bias.normal_(0.5, 0.2)
+        for layer in (*model.vlm.layers, *model.action_expert.layers):
+            if hasattr(layer, "self_attn"):  # attention that depends on what a token is
+                layer.self_attn.q_norm.weight.fill_(3.0)
+                layer.self_attn.v_proj.weight *= 4
+        model.action_expert.output_proj.weight.normal_(std=0.2)
 
 
 def spread(middle: list[float], deviation: float) -> dict[str, list[float]]:
