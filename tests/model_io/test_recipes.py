@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import os
 from typing import TYPE_CHECKING
 
 import pytest
 
 from xpl.worker import surroundings
+from xpl_cli.basics.content import content_folder
 from xpl_cli.basics.errors import UserError
 from xpl_cli.model_io import recipes, tiny
 from xpl_cli.packages import package
@@ -116,3 +118,18 @@ def test_an_input_is_measured_with_the_same_random_numbers(adapter: Path, tmp_pa
     (adapter / "model.py").write_text(noise.format(read=READ))
     made = tiny.make(package.load(adapter), tmp_path / "made", tiny.TinyOptions())
     assert set(made.effects.values()) == {0.0}
+
+
+@pytest.mark.parametrize(
+    "path", sorted((content_folder("spec") / "zoo" / "tiny").glob("*.py")), ids=lambda path: path.stem
+)
+def test_every_recipe_of_the_zoo_can_be_read_without_its_libraries(path: Path) -> None:
+    constants = recipes._constants(path)
+    assert constants["REQUIREMENTS"]
+    assert any("{folder}" in str(value) for value in constants["SETTINGS"].values())
+    (write,) = (
+        node
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.FunctionDef) and node.name == tiny.FUNCTION
+    )
+    assert [argument.arg for argument in write.args.args] == ["folder", "gain", "config"]
