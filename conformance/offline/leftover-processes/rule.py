@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.service import ServiceRun
 
 
-@rule(code="XPL245", requirement="XPL-SRV-5", tries="crashes and leftovers")
+@rule(code="XPL245", requirement="XPL-SRV-5", loads=True, tries="crashes and leftovers")
 def leftover_processes(service: ServiceRun) -> Iterator[Finding]:
     """Processes of the adapter outlive the policy server, or delay its end.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import blame
 from xpl_cli.audit.served.service import ServiceRun
 
 
-@rule(code="XPL244", requirement="XPL-SRV-9", tries="crashes and leftovers")
+@rule(code="XPL244", requirement="XPL-SRV-9", loads=True, tries="crashes and leftovers")
 def opens_port(service: ServiceRun) -> Iterator[Finding]:
     """The adapter opens a network port of its own.
 

@@ -9,7 +9,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.service import ServiceRun
 
 
-@rule(code="XPL243", requirement="XPL-SRV-5", tries="crashes and leftovers")
+@rule(code="XPL243", requirement="XPL-SRV-5", loads=True, tries="crashes and leftovers")
 def worker_crash(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
     """The adapter's process ends, or breaks its connection to the server, during a request.
 

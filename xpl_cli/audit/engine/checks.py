@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from xpl_cli.audit.rules.registry import Rule, RuleEntry
 
 _UNRESPONSIVE = "the policy's actions do not depend on observations: that actions are equal proves nothing"
+_UNLOADED = "what loading the model does decides, and in shadow mode it is not loaded: a pass proves nothing"
 _HOLDS = frozenset((Outcome.PASS, Outcome.WARN, Outcome.NOT_APPLICABLE))
 
 
@@ -94,7 +95,9 @@ class Checks:
                 probe.recorder.recent.clear()
             with self._limited_time() if rule.gate is Gate.STATIC else nullcontext():
                 yielded = tuple(self._located(item, rule) for item in self._facts.call(rule.check))
-            self._require_responsive(rule, yielded)
+            if not yielded:
+                self._require_model(rule)
+                self._require_responsive(rule)
         except NotApplicable as why:
             return self._result(rule, Outcome.NOT_APPLICABLE, reason=str(why))
         except NotRun as why:
@@ -139,13 +142,22 @@ class Checks:
         if rule.profile is Profile.FULL and self._facts.get("profile").name is Profile.SHADOW:
             raise NotApplicable("only the real model can satisfy or break it, and in shadow mode there is none")
 
-    def _require_responsive(self, rule: Rule, yielded: tuple[object, ...]) -> None:
+    def _require_model(self, rule: Rule) -> None:
+        """Discard the pass of a rule that judges what loading the model does, if it was not loaded.
+
+        Raises:
+            NotApplicable: in shadow mode.
+        """
+        if rule.loads and self._facts.get("profile").name is Profile.SHADOW:
+            raise NotApplicable(_UNLOADED)
+
+    def _require_responsive(self, rule: Rule) -> None:
         """Discard the pass of a rule that compares actions, if they would be equal whatever the adapter does.
 
         Raises:
             NotApplicable: if the actions do not depend on observations.
         """
-        if rule.compares and not yielded and not self._facts.get("probe").depends_on_observations:
+        if rule.compares and not self._facts.get("probe").depends_on_observations:
             raise NotApplicable(_UNRESPONSIVE)
 
     def _result(

@@ -53,6 +53,8 @@ class Rule:
         tries: what it tries, as a noun phrase, such as `batches that shrink`; several rules may share one. Empty for
             what its requirement is about, as with all rules that only read files.
         handler: the method that its findings are about where nothing was raised; empty for the one that answered last.
+        loads: whether it judges what loading the model does, besides the adapter's other code: a pass proves nothing
+            in shadow mode.
     """
 
     code: str
@@ -67,6 +69,7 @@ class Rule:
     compares: bool = False
     tries: str = ""
     handler: str = ""
+    loads: bool = False
 
     @property
     def severity(self) -> str:
@@ -111,6 +114,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     compares: bool = False,
     tries: str = "",
     handler: str = "",
+    loads: bool = False,
 ) -> Callable[[Check], Check]:
     """Declare a check as a rule. The decorated generator yields a `Finding` for every fault.
 
@@ -119,9 +123,9 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
     Use instead, Fix safety. Its folder `conformance/GATE/SLUG` says what it is called and where it runs; a rule of
     `environments/` or `audit/` says by `gate` in which one first. `after` names rules of the same gate without which
     this one would prove nothing; `profile="full"` says that only the real model can satisfy or break it; `compares`
-    says that it passes because answers are alike. `tries` says in a noun phrase what it tries, for the report's line of
-    what was tried; `handler` names the method of the adapter whose line a finding gets if nothing was raised, if that
-    is not the one which answered last.
+    says that it passes because answers are alike, `loads` that it judges what loading the model does. `tries` says in a
+    noun phrase what it tries, for the report's line of what was tried; `handler` names the method of the adapter whose
+    line a finding gets if nothing was raised, if that is not the one which answered last.
 
     Raises:
         RegistryError: if it says another gate than its folder, or none where the folder leaves it open.
@@ -142,6 +146,7 @@ def rule(  # noqa: PLR0913 - what a rule says of itself
             compares,
             tries,
             handler,
+            loads,
         )
         return check
 
