@@ -33,6 +33,8 @@ def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
     checkpoint = configurations.probe.checkpoint
     if checkpoint is None:
         raise NotApplicable("deploy.yml names no checkpoint that exists")
+    if not checkpoint.absent_names() and not list(checkpoint.step_keys()):
+        raise NotApplicable("every name like that of the checkpoint exists, and no key selects a training step")
     for name in checkpoint.absent_names():
         if configurations.changed(**{checkpoint.key: name}).refusal is None:
             yield _finding(f"{checkpoint.key}: {name} does not exist, and the adapter acts with {checkpoint.name}")
@@ -42,7 +44,7 @@ def absent_checkpoint(configurations: Configurations) -> Iterator[Finding]:
                 yield _finding(
                     f"{key}: step {other} does not exist, and the adapter acts with another one; {step} exists"
                 )
-        if step and 0 in checkpoint.steps() and configurations.repeats:
+        if step and 0 in checkpoint.steps() and configurations.repeats and configurations.probe.depends_on_observations:
             first = configurations.changed(**{key: 0})
             if first.refusal is None and first.difference(configurations.changed(**{key: step})) is None:
                 yield _finding(f"{key}: step 0 acts exactly as step {step}")

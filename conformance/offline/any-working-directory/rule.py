@@ -9,7 +9,7 @@ from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL253", requirement="XPL-CKP-3", tries="another working directory")
+@rule(code="XPL253", requirement="XPL-CKP-3", loads=True, compares=True, tries="another working directory")
 def any_working_directory(configurations: Configurations) -> Iterator[Finding]:
     """The adapter depends on the working directory of its process.
 
@@ -31,8 +31,9 @@ def any_working_directory(configurations: Configurations) -> Iterator[Finding]:
     No automatic fix.
     """
     if not configurations.probe.package.manifest.deterministic:
-        usual, there = configurations.usual, configurations.from_elsewhere()
-        mismatch = there.refusal if usual.refusal is None else None
+        configurations.require_usual()
+        there = configurations.from_elsewhere()
+        mismatch = there.refusal
     else:
         configurations.require_repeats()
         mismatch = configurations.usual.difference(configurations.from_elsewhere())

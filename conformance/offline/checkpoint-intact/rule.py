@@ -31,6 +31,8 @@ def checkpoint_intact(probe: Probe) -> Iterator[Finding]:
     """
     if probe.checkpoint is None:
         raise NotApplicable("deploy.yml names no checkpoint that exists")
+    if not probe.checkpoint_before:
+        raise NotApplicable("the checkpoint is a folder without files")
     probe.require_answer()
     after = probe.checkpoint.state()
     changed = [path for path, state in probe.checkpoint_before.items() if after.get(path) != state]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, NotRun, rule
 from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.probe import blame
 
@@ -33,7 +33,9 @@ def declared_random(configurations: Configurations) -> Iterator[Finding]:
         raise NotApplicable("the policy is declared deterministic")
     seeds = (0, 7)
     first, second = (configurations.with_seed(seed) for seed in seeds)
-    if first.refusal is None and first.difference(second) is None:
+    if first.refusal is not None:
+        raise NotRun(f"the policy is not served with seed {seeds[0]}: {first.refusal}")
+    if first.difference(second) is None:
         yield blame(
             f"seeds {seeds[0]} and {seeds[1]} give the same actions, and policy.yml declares the policy not "
             "deterministic: rules that compare actions are disabled without need",

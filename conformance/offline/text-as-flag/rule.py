@@ -12,7 +12,7 @@ _FLAGS = (True, False)
 _MOST = 4
 
 
-@rule(code="XPL249", requirement="XPL-CFG-3", tries="false and null as settings")
+@rule(code="XPL249", requirement="XPL-CFG-3", loads=True, tries="false and null as settings")
 def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
     """A setting stays on if the string "false" switches it off.
 
@@ -37,9 +37,12 @@ def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
     if not settings:
         raise NotApplicable("no key of deploy.yml is a boolean")
     configurations.require_repeats()
+    judged: list[str] = []
     for key, value in list(settings.items())[:_MOST]:
         on, off = (configurations.changed(**{key: flag}) if flag != value else configurations.usual for flag in _FLAGS)
         text = configurations.changed(**{key: "false"})
+        if text.refusal is not None or on.difference(off):
+            judged.append(key)
         if text.refusal is None and on.difference(off) and text.difference(on) is None:
             yield blame(
                 f'{key}: the string "false" acts as true: a launcher that passes strings does the opposite',
@@ -47,3 +50,5 @@ def text_as_flag(configurations: Configurations) -> Iterator[Finding]:
                 got=f"the actions of true: {off.difference(text)}",
                 fix=Fix("advice", f'read it with self.setting("{key}", {value})'),
             )
+    if not judged:
+        raise NotApplicable("no boolean of deploy.yml changes the actions: which one a string acts as cannot be seen")

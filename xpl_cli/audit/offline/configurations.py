@@ -91,6 +91,15 @@ class Configurations:
         """Whether a second process acts as the first."""
         return self.usual.difference(self.with_seed(USUAL_SEED, run=1)) is None
 
+    def require_usual(self) -> None:
+        """Stop a rule that compares configurations if the usual one is not served.
+
+        Raises:
+            NotRun: then.
+        """
+        if self.usual.refusal is not None:
+            raise NotRun(f"the policy is not served with the values of deploy.yml and a seed: {self.usual.refusal}")
+
     def require_repeats(self) -> None:
         """Stop a rule that compares the actions of two processes if these always differ.
 
@@ -99,6 +108,7 @@ class Configurations:
             NotRun: if it is not, against its declaration; the rule `seed-repeats` reports that.
         """
         self.probe.require_deterministic()
+        self.require_usual()
         if not self.repeats:
             raise NotRun("the policy acts differently each time, and nothing can be compared: seed-repeats says how")
 
