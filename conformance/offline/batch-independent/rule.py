@@ -38,6 +38,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
     # All with one instruction: whether each follows its own, `instruction-per-environment` asks.
     instruction = probe.observation()[spec.Obs.INSTRUCTION]
     together = probe.batch_episode(envs, instruction=instruction)
+    probe.require_chunks(together[0], envs)
     for env in envs:
         by_itself = probe.batch_episode([env], instruction=instruction)
         for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.compare import brief, difference, is_answer_list, raised, same
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
@@ -35,7 +35,9 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
     envs = [4, 2]
     batch = probe.observations(envs)
     listed, implied, empty = (probe.batch_answer(batch, indices) for indices in (envs, None, []))
-    if raised(empty) or not hasattr(empty, "__len__") or len(empty) != 0:
+    probe.require_chunks(listed, envs)
+    is_empty = not raised(empty) and hasattr(empty, "__len__") and len(empty) == 0
+    if not is_empty:
         ended = "all of its environments have ended"
         yield blame(
             f"get_action_batch([]) raises {raised(empty)}: an evaluation stops when {ended}"
@@ -46,13 +48,15 @@ def batch_none_and_empty(probe: Probe) -> Iterator[Finding]:
             fix=Fix("advice", "test `env_idx_list is None`; `env_idx_list or default` treats an empty list as missing"),
         )
     mismatch = difference(listed, implied)
-    if mismatch is not None and raised(listed) is None:
+    if mismatch is not None:
         yield blame(
             f"get_action_batch(None) {_describe(implied, listed, envs)}",
             expected=f"the answer for {envs}",
             got=raised(implied) or mismatch,
             fix=Fix("advice", "remember the order of the last update_obs_batch and use it for None"),
         )
+    elif is_empty and same(*listed):
+        raise NotApplicable("both environments get the same actions: whether None keeps their order cannot be seen")
 
 
 def _describe(implied: Answer, listed: Answer, envs: Sequence[int]) -> str:

@@ -4,9 +4,17 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterator
+from itertools import combinations
 
-from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import brief, describe_wrong_batch, error_code, first_step, is_answer_list
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.compare import (
+    brief,
+    describe_wrong_batch,
+    error_code,
+    first_step,
+    is_answer_list,
+    same,
+)
 from xpl_cli.audit.served.probe import Probe, blame
 
 
@@ -66,3 +74,6 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
                 fix=Fix("advice", "look observations up by environment index, never by position in the list"),
             )
             return
+    alike = next((pair for pair in combinations(envs, 2) if same(*(alone[env] for env in pair))), None)
+    if alike is not None:
+        raise NotApplicable(f"environments {alike[0]} and {alike[1]} get the same actions: their order cannot be seen")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as spec
-from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.compare import first_step, is_answer_list
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.served.compare import first_step, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
 
 _STEPS: tuple[tuple[list[int], list[int] | None], ...] = (
@@ -55,6 +55,11 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
         for step, (observed, requested) in enumerate(_STEPS):
             policy.update_obs_batch(probe.observations(observed, step, instruction))
             together.append(policy.get_action_batch(requested))
+    probe.require_chunks(together[0], _STEPS[0][0])
+    if same(*(together[0][env] for env in _COMPARED)):
+        raise NotApplicable(
+            "the environments of a batch get the same actions: one's state in another's place cannot be seen"
+        )
     for env in _COMPARED:
         lasts = sum(env in observed for observed, _ in _STEPS)
         for step, alone in enumerate(probe.batch_episode([env], lasts, instruction)):

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Final
 
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.compare import brief, error_code, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
 from xpl_cli.basics.phrases import count_noun
+
+_OBSERVED: Final = [3, 7]
 
 
 @rule(code="XPL205", requirement="XPL-BAT-3", tries="empty batches and unknown environments")
@@ -32,13 +35,14 @@ def batch_unknown(probe: Probe) -> Iterator[Finding]:
     No automatic fix.
     """
     probe.require_answer()
-    observed = [3, 7]
+    observed = _OBSERVED
     for indices in ([3, 8], [3, 3]):
         with probe.session() as policy:
             policy.reset()
             known = policy.act_batch_at_once(probe.observations(observed), observed)
             policy.reset()
             answer = policy.act_batch_at_once(probe.observations(observed), indices)
+        probe.require_chunks(known, observed)  # else every list is refused
         if error_code(answer) is None:
             yield blame(
                 f"get_action_batch({indices}) {_describe(indices, answer, known)}",
@@ -59,11 +63,6 @@ def _describe(indices: Sequence[int], answer: Answer, known: Answer) -> str:
     if len(set(indices)) < len(indices):
         twice = "answers environment 3 twice" if same(*answer) else "gives environment 3 two different chunks"
         return f"{twice} without an error: a launcher that lists one environment twice stays unnoticed"
-    source = next(
-        (env for env, chunk in zip((3, 7), known, strict=False) if same(answer[1], chunk))
-        if is_answer_list(known)
-        else (),
-        None,
-    )
-    what = "an action that it makes up" if source is None else f"the action for environment {source}"
+    sources = [env for env, chunk in zip(_OBSERVED, known, strict=True) if same(answer[1], chunk)]
+    what = f"the action for environment {sources[0]}" if sources else "an action that it makes up"
     return f"gives environment 8, which was never observed, {what}: {unseen}"

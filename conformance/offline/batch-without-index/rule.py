@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl.contract import ObservationDict
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.served.compare import difference, error_code, is_answer_list, raised, same
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer
@@ -47,10 +47,11 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
                 refused = refused or (raised(taken) if bare else None)
                 answered.append(policy.get_action_batch(indices))
             episodes.append(answered)
+    probe.require_chunks(episodes[0][0], [0, 1])
     mismatch = difference(*episodes)
     if mismatch is not None:
         yield blame(
-            _describe(*episodes, refused),
+            _describe(*episodes, refused=refused),
             expected="the same actions as with env_idx 0 and 1",
             got=mismatch,
             evidence={"asked": [[0, 1], [1]]},
@@ -69,9 +70,11 @@ def batch_without_index(probe: Probe) -> Iterator[Finding]:
             evidence={"indices": [1, None], "asked": [1]},
             fix=Fix("advice", "refuse a batch of which only some observations have env_idx"),
         )
+    elif same(*episodes[0][0]):
+        raise NotApplicable("both environments get the same actions: that one overwrites the other cannot be seen")
 
 
-def _describe(indexed: list[Answer], bare: list[Answer], refused: str | None) -> str:
+def _describe(indexed: list[Answer], bare: list[Answer], *, refused: str | None) -> str:
     """Return what becomes of a batch without indices.
 
     Args:

@@ -44,3 +44,5 @@ def inference_rate(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
             got=f"{1e3 * usual:.0f} ms",
             fix=Fix("advice", f"declare a {_RATE} that can be kept, or return longer chunks"),
         )
+    else:
+        probe.require_real_time()

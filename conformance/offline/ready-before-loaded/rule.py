@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.served.probe import blame
+from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.service import ServiceRun
 
 _TIMES, _LONGER_S = 10.0, 2.0
 
 
 @rule(code="XPL246", requirement="XPL-SRV-10", profile="full", tries="speed")
-def ready_before_loaded(service: ServiceRun) -> Iterator[Finding]:
+def ready_before_loaded(probe: Probe, service: ServiceRun) -> Iterator[Finding]:
     """The server reports that it is ready before the model is.
 
     ## What it does
@@ -43,3 +43,5 @@ def ready_before_loaded(service: ServiceRun) -> Iterator[Finding]:
             got=f"{first:.1f} s",
             fix=Fix("advice", "load and warm up the model in load()"),
         )
+    else:
+        probe.require_real_time()

@@ -16,11 +16,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from xpl import _spec as sdk
+from xpl.checkpoint import tiny_folder
 from xpl.client import Client, ClientError, PolicyServerError
 from xpl.embodiment import Embodiment, UnknownEmbodimentError, get_embodiment, why_undeclared
 from xpl_cli.audit.rules.model import Finding, NotApplicable, NotRun
 from xpl_cli.audit.served.checkpoints import ServedCheckpoint
-from xpl_cli.audit.served.compare import difference, same
+from xpl_cli.audit.served.compare import difference, is_answer_list, same
 from xpl_cli.audit.served.hanging import bounded_timeouts
 from xpl_cli.audit.served.rounding import measure_rounding
 from xpl_cli.audit.served.servers import PATIENCE, Servers
@@ -176,6 +177,20 @@ class Probe(Servers):
         return not same(*answers)
 
     @cached_property
+    def has_tiny_weights(self) -> bool:
+        """Whether the configured checkpoint is a tiny random one, which takes less time than a real one."""
+        return tiny_folder(self.config, self.package.path) is not None
+
+    def require_real_time(self) -> None:
+        """Discard the pass of a rule about the time that the model takes.
+
+        Raises:
+            NotApplicable: if its weights are tiny random ones.
+        """
+        if self.has_tiny_weights:
+            raise NotApplicable("a tiny random checkpoint is faster than the model: that it is in time proves nothing")
+
+    @cached_property
     def repeats_in_place(self) -> bool:
         """Whether one server gives the same answers in two episodes."""
         with self.session() as policy:
@@ -222,6 +237,15 @@ class Probe(Servers):
         with self.run() as policy:
             policy.reset()
             return [policy.act_batch_at_once(self.observations(envs, step, instruction), envs) for step in range(steps)]
+
+    def require_chunks(self, answer: Answer, envs: Sequence[int]) -> None:
+        """Stop a rule whose answers of a batch would be compared with each other, where these are all errors.
+
+        Raises:
+            NotApplicable: if an answer has no chunk for each of `envs`.
+        """
+        if not is_answer_list(answer, len(envs)):
+            raise NotApplicable(f"get_action_batch({list(envs)}) gives no chunks to compare, which XPL203 reports")
 
     def batch_difference(self, first: object, second: object) -> str | None:
         """Describe where answers to equal observations, in batches of other sizes, differ by more than rounding.
