@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.faulty_inputs import damaged, judge
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.changed_inputs import present
@@ -39,6 +39,8 @@ def damaged_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     probe.require_answer()
     obs = probe.observation()
     judged = (set(names) & set(present(obs))) - semantics.known_ignored_inputs()
+    if not judged:
+        raise NotApplicable("no required input changes the actions: an invalid value of one cannot reach them")
     with probe.session() as policy:
         yield from judge(
             policy,

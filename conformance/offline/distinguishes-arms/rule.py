@@ -35,6 +35,7 @@ def distinguishes_arms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     if len(probe.embodiment.arms) == 1:
         raise NotApplicable("the robot has one arm")
     unseen = semantics.ignored_inputs()
+    semantics.require_change_of_used("sides", "the actions depend on none of the required states")
     for change in semantics.ignored("sides"):
         if change.input not in unseen:
             yield blame(

@@ -35,6 +35,7 @@ def distinguishes_cameras(probe: Probe, semantics: Semantics) -> Iterator[Findin
     if len(cameras) < 2:
         raise NotApplicable("the manifest requires fewer than two cameras")
     unseen = semantics.ignored_inputs()
+    semantics.require_change_of_used("cameras", "the actions depend on none of the required cameras")
     for change in semantics.ignored("cameras"):
         if change.input not in unseen:
             yield blame(

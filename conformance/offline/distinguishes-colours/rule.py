@@ -33,6 +33,7 @@ def distinguishes_colours(probe: Probe, semantics: Semantics) -> Iterator[Findin
     if not any(name.startswith(spec.Obs.VISION) for name in probe.named_inputs()):
         raise NotApplicable("the manifest requires no camera")
     unseen = semantics.ignored_inputs()
+    semantics.require_change_of_used("colours", "the actions depend on none of the required images")
     for change in semantics.ignored("colours"):
         if change.input not in unseen:
             yield blame(

@@ -67,6 +67,8 @@ def half_turn_preserved(probe: Probe, semantics: Semantics) -> Iterator[Finding]
                 fix=_FIX,
             )
             return
+    if all(rotation_difference(plain, chunk) is None for _, chunk in chunks.values()):
+        raise NotApplicable("the actions do not depend on the orientation of an end effector")
     yield from _confused(plain, {what: chunks[what][1] for what in HALF_TURNS})
 
 

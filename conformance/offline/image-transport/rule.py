@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.in_process_run import InProcessRun
+from xpl_cli.audit.offline.semantics import Semantics
+from xpl_cli.audit.served.changed_inputs import present
 from xpl_cli.audit.served.compare import difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.transports import FORMS, LEGACY, decoded, encoded, error_of, sees_pictures
 
 
 @rule(code="XPL225", requirement="XPL-IMG-2", compares=True, tries="encoded images")
-def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
+def image_transport(probe: Probe, in_process_run: InProcessRun, semantics: Semantics) -> Iterator[Finding]:
     """Actions depend on how an image was encoded.
 
     ## What it does
@@ -69,3 +72,6 @@ def image_transport(probe: Probe, in_process_run: InProcessRun) -> Iterator[Find
                     fix=Fix("advice", "read images with xpl.observation.get_image, and decode nothing in the adapter"),
                 )
                 return
+    cameras = {name for name in present(raw) if name.startswith(sdk.Obs.VISION)}
+    if cameras <= semantics.known_ignored_inputs():
+        raise NotApplicable("the actions depend on no image: how one was encoded cannot be seen in them")

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl.contract import ObservationDict
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.compare import error_code
 from xpl_cli.audit.served.probe import Probe, blame
@@ -47,6 +47,7 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     main_form, *others = forms
     answers = dict(zip(forms, semantics.compare([((obs,), (form,)) for form in forms.values()]), strict=True))
     mismatch = semantics.disagreement(*answers[main_form])
+    found = mismatch is not None
     if mismatch is not None:
         yield blame(
             f"an observation with {main_form} is not read like one with `instruction`: the policy stops, or "
@@ -58,9 +59,14 @@ def instruction_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     for form in others:
         plain, answer = answers[form]
         if error_code(answer) is None and (mismatch := semantics.disagreement(plain, answer)) is not None:
+            found = True
             yield blame(
                 f"{form} is read as another instruction: the policy follows one that the user did not give",
                 expected="the action for the string, or an error",
                 got=mismatch,
                 fix=_FIX,
             )
+    if not found:
+        semantics.require_steady()
+        if spec.Obs.INSTRUCTION in semantics.known_ignored_inputs():
+            raise NotApplicable("the instruction does not change the actions: which spelling is read cannot be seen")

@@ -46,6 +46,8 @@ def missing_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     names = probe.required or _used(semantics)
     obs = probe.observation()
     there = present(obs)
+    if not set(names) & set(there):
+        raise NotApplicable("the scripted observation holds none of the required inputs, so that none can be left out")
     unseen = semantics.known_ignored_inputs()
     with probe.session() as policy:
         for name in names:

@@ -41,10 +41,12 @@ def observation_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     forms = _forms(obs)
     if probe.required:
         forms["only what the manifest lists"] = only(obs, probe.package.manifest.read)
+    found = False
     answers = semantics.compare([((obs,), (form,)) for form in forms.values()])
     for what, pair in zip(forms, answers, strict=True):
         mismatch = semantics.disagreement(*pair)
         if mismatch is not None:
+            found = True
             yield blame(
                 f"an observation with {what} gives other actions, although the schema allows it: the policy "
                 "works with some benchmarks only",
@@ -52,6 +54,8 @@ def observation_forms(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
                 got=mismatch,
                 fix=Fix("advice", "convert with np.asarray, read by name, and ignore keys that are not needed"),
             )
+    if not found:
+        semantics.require_steady()
 
 
 def _forms(obs: ObservationDict) -> dict[str, ObservationDict]:

@@ -52,6 +52,8 @@ def quaternion_sign(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
         "from one observation to the next": ((first, second), (first, antipodal(second))),
     }
     answered = semantics.compare(list(pairs.values()), semantics.posed)
+    if rotation_difference(answered[0][0], answered[1][0]) is None:
+        raise NotApplicable("the actions do not depend on the orientation of an end effector, nor on its sign")
     for where, pair in zip(pairs, answered, strict=True):
         mismatch = rotation_difference(*pair)
         if mismatch is not None:

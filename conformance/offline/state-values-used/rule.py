@@ -35,6 +35,7 @@ def state_values_used(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     if not any(name.startswith(spec.Obs.STATE) for name in probe.named_inputs()):
         raise NotApplicable("the manifest requires no state")
     unseen = semantics.ignored_inputs()
+    semantics.require_change_of_used("value", "the actions depend on none of the required states")
     ignored = [change for change in semantics.ignored("value") if change.input not in unseen]
     for name, changes in groupby(ignored, key=lambda change: change.input):
         what = ", ".join(change.what.removeprefix("another ") for change in changes)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl.manifest import Inputs
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
 
@@ -34,9 +34,14 @@ def undeclared_input(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """
     required = probe.named_inputs()
     declared = probe.package.manifest.inputs or Inputs()
+    listed = {*required, *declared.optional}
+    if all(change.input in listed for change, _ in semantics.effects if change.kind == "input"):
+        raise NotApplicable("the manifest lists every input of the scripted observation")
+    if all(effect is None for change, effect in semantics.effects if change.kind == "input"):
+        raise NotApplicable("no input changes the actions")
     for change, effect in semantics.effects:
         name = change.input
-        if change.kind != "input" or effect is None or name in required or name in declared.optional:
+        if change.kind != "input" or effect is None or name in listed:
             continue
         declaration = "declares it unused" if name in declared.unused else "does not name it"
         yield Finding(

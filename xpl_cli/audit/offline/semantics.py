@@ -69,6 +69,30 @@ class Semantics:
         """Return the inputs that have no effect; parts of them need no finding of their own."""
         return {change.input for change in self.ignored("input")}
 
+    def require_change_of_used(self, kind: Kind, reason: str) -> None:
+        """Stop a rule about changes of a kind that has none to judge: those of inputs without any effect say nothing.
+
+        Args:
+            kind: of the changes.
+            reason: what to report then.
+
+        Raises:
+            NotApplicable: if every change of this kind is one of an ignored input.
+            NotRun: if actions cannot be compared.
+        """
+        ignored = self.ignored_inputs()
+        if all(change.input in ignored for change, _ in self.effects if change.kind == kind):
+            raise NotApplicable(reason)
+
+    def require_steady(self) -> None:
+        """Discard the pass of a rule that could compare only whether answers are actions or errors.
+
+        Raises:
+            NotApplicable: if the policy does not repeat itself.
+        """
+        if not self._steady:
+            raise NotApplicable("the policy does not repeat itself: only that no form is refused could be seen")
+
     def known_ignored_inputs(self) -> set[str]:
         """Return the inputs that have no effect; none where the actions cannot be compared."""
         try:
