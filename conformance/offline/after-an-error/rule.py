@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl.client import ClientError
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.damage import damaged_operations
 from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL222", requirement="XPL-EPI-1", tries="errors within an episode")
+@rule(code="XPL222", requirement="XPL-EPI-1", compares=True, tries="errors within an episode")
 def after_an_error(probe: Probe) -> Iterator[Finding]:
     """An error in one episode affects the next one.
 
@@ -87,3 +87,5 @@ def after_an_error(probe: Probe) -> Iterator[Finding]:
                 fix=advice,
             )
             return
+    if not refused:
+        raise NotApplicable("the adapter refuses none of the invalid observations: no error came before the episode")

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.memory import long_episode
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.basics.phrases import count_noun
 
 
 @rule(code="XPL223", requirement="XPL-EPI-6", tries="long episodes and histories")
@@ -34,6 +35,12 @@ def bounded_memory(probe: Probe) -> Iterator[Finding]:
     played = long_episode(probe)
     if played is None:
         raise NotApplicable("this operating system does not report the memory of a process")
+    if played.per_step is None and not played.would_show:
+        steps = played.stretches[-1][0] if played.stretches else 0
+        raise NotApplicable(
+            f"{count_noun(steps, 'step')} took as long as a stretch may last: memory for observations of "
+            f"{played.observation / 1e3:.0f} kB would not be noticed"
+        )
     if played.per_step is not None:
         kept, size = played.per_step / 1e3, played.observation / 1e3
         yield blame(

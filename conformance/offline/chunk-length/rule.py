@@ -34,6 +34,8 @@ def chunk_length(probe: Probe, motions: MotionEpisodes) -> Iterator[Finding]:
     declared = probe.package.manifest.temporal.chunk
     if declared is None:
         raise NotApplicable("no manifest declares the length of a chunk")
+    if not any(is_answer_list(answer.chunk) for motion in motions.all for answer in motion.answers):
+        raise NotApplicable("no answer is a chunk, which XPL202 reports")
     for motion in motions.all:
         wrong = [answer for answer in motion.answers if is_answer_list(answer.chunk) and len(answer.chunk) != declared]
         if wrong:

@@ -74,6 +74,8 @@ def _too_much(probe: Probe, history: int) -> Iterator[Finding]:
                 "the command before (delta_command) depends on all before it, which is memory",
             ),
         )
+    elif same(*(_last_answer(probe, [_in_environment_0(probe, scene)]) for scene in (2, 3))):
+        raise NotApplicable("two scenes give the same actions: which observations they depend on cannot be seen")
 
 
 def _nothing_kept(probe: Probe, history: int) -> Iterator[Finding]:

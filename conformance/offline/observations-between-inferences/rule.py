@@ -66,7 +66,8 @@ def observations_between_inferences(probe: Probe) -> Iterator[Finding]:
     if same(all_shown, second(*between)):
         if not same(probe.answer(between[-1]), probe.answer(newest)):
             yield _finding("depends on older ones, not on the newest: the policy lags behind", all_shown)
-        return
+            return
+        raise NotApplicable("the newest observation gives the same actions as the one before it")
     if span > 1:
         yield from _with_a_history(probe, second, between, newest, all_shown)
 

@@ -10,7 +10,7 @@ from xpl_cli.audit.served.compare import brief, difference, error_code, first_st
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL211", requirement="XPL-EPI-5", tries="get_action twice")
+@rule(code="XPL211", requirement="XPL-EPI-5", compares=True, tries="get_action twice")
 def repeated_inference(probe: Probe) -> Iterator[Finding]:
     """A second get_action on one observation fails, or returns another action.
 

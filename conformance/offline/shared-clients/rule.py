@@ -34,7 +34,7 @@ class _Turn:
         return f"{self.method} in step {self.step} of episode {self.episode}"
 
 
-@rule(code="XPL217", requirement="XPL-SRV-7", tries="clients that share the model")
+@rule(code="XPL217", requirement="XPL-SRV-7", compares=True, tries="clients that share the model")
 def shared_clients(probe: Probe) -> Iterator[Finding]:
     """Clients that share the model influence each other.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from itertools import pairwise
 
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.limits import jumps
 from xpl_cli.audit.offline.motion import MotionEpisodes
 from xpl_cli.audit.served.probe import blame
@@ -32,6 +32,8 @@ def step_size(motions: MotionEpisodes) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
+    if all(len(answer.chunk) == 1 for motion in motions.sound for answer in motion.sound):
+        raise NotApplicable("every chunk holds one action: there is no next one to compare it with")
     for motion in motions.sound:
         excesses = [
             (answer, index, excess)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from xpl import _spec as sdk
 from xpl.client import ClientError
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.trials import RESULT, trial_case
 from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
@@ -26,7 +26,8 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
     ## What it does
     In a separate server, runs the same trial twice as benchmarks do: PREPARE_CASE, reset, an episode, TRIAL_END. The
     hooks `prepare_case(case_meta)` and `on_trial_end(result)` get the arguments that `xpl eval` passes. Neither may
-    raise, and the second trial must equal the first one. A policy without hooks passes.
+    raise, and the second trial must equal the first one. Not applicable if no file of the package has a hook and
+    nothing is wrong.
 
     ## Why it matters
     RoboTwin and `xpl eval` send both for every episode. A hook that raises ends the episode; one that counts, learns
@@ -69,7 +70,10 @@ def trial_hooks(probe: Probe) -> Iterator[Finding]:
             fix=Fix("advice", "free nothing in a hook that the next episode needs"),
         )
         return
-    yield from _compared(probe, *played)
+    findings = list(_compared(probe, *played))
+    if not findings and not _has_hook(probe):
+        raise NotApplicable(f"no Python file of the package defines {' or '.join(_HOOK.values())}")
+    yield from findings
 
 
 def _trial(probe: Probe, policy: RecordedClient, case: Config) -> tuple[tuple[str, Answer] | None, list[Answer]]:
@@ -82,6 +86,12 @@ def _trial(probe: Probe, policy: RecordedClient, case: Config) -> tuple[tuple[st
     if error_code(reply) is not None:
         return (sdk.Message.TRIAL_END, reply), chunks
     return None, chunks
+
+
+def _has_hook(probe: Probe) -> bool:
+    """Tell whether a Python file directly in the package mentions a hook."""
+    texts = (file.read_text(encoding="utf-8", errors="replace") for file in probe.package.path.glob("*.py"))
+    return any(hook in text for text in texts for hook in _HOOK.values())
 
 
 def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterator[Finding]:
@@ -101,8 +111,8 @@ def _compared(probe: Probe, first: list[Answer], second: list[Answer]) -> Iterat
             continue
         if all(error_code(chunk) is None for chunk in pair):
             probe.require_deterministic()
-            if not probe.repeats_in_place:  # each episode has other random numbers, whatever the hooks do
-                return
+            if not probe.repeats_in_place:
+                raise NotApplicable("each episode has other random numbers, whatever the hooks do")
         yield blame(
             f"the second of two equal trials differs from step {step} on: state that a hook left survives reset",
             expected="the actions of the first trial",

@@ -45,6 +45,11 @@ class LongEpisode:
     stretches: tuple[tuple[int, int], ...]
     per_step: float | None
 
+    @property
+    def would_show(self) -> bool:
+        """Whether observations that are kept would have added noticeable memory in the last stretch."""
+        return bool(self.stretches) and self.stretches[-1][0] * self.observation >= _LEAST
+
 
 def long_episode(probe: Probe) -> LongEpisode | None:
     """Run one episode until the adapter's memory stays constant, or has grown in every stretch.
