@@ -39,7 +39,19 @@ def chunk_end(source: Source) -> Iterator[Finding]:
             loop = next(
                 (entry for entry in enclosing(call, function.up) if isinstance(entry, (ast.For, ast.While))), None
             )
-            if loop is not None and not _ends(loop, function) and not passes_on(loop, function, source, 0, ENDS):
+            if loop is None or passes_on(loop, function, source, 0, ENDS):
+                continue
+            if call.func.attr == EXECUTES[1] and _ends(loop, function) and not _knows_running(loop, function):
+                yield Finding(
+                    f"{function.name} steps environments whose episode has ended until the chunk is over, as long as "
+                    "another one runs: their success may be undone",
+                    **source.at(function.file, call),
+                    expected=f"{ENDS[1]}() after each action, and only those that run in the next one",
+                    got=f"{ast.unparse(loop).splitlines()[0]} without it",
+                    fix=Fix("advice", f"update the list of environments by {ENDS[1]}() inside the chunk"),
+                )
+                break
+            if not _ends(loop, function):
                 yield Finding(
                     f"{function.name} continues the chunk after the episode has ended: success may be undone",
                     **source.at(function.file, call),
@@ -48,6 +60,11 @@ def chunk_end(source: Source) -> Iterator[Finding]:
                     fix=_fix(source, function, call, loop),
                 )
                 break
+
+
+def _knows_running(loop: ast.For | ast.While, function: Function) -> bool:
+    """Tell whether a loop over a chunk asks which environments still run."""
+    return any(environment_calls(loop, function, (ENDS[1],)))
 
 
 def _fix(source: Source, function: Function, call: ast.Call, loop: ast.For | ast.While) -> Fix:

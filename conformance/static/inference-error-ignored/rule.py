@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.episode_state import only_reports
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACTING, LOADING, OBSERVING, RESETTING, ModelClass
 from xpl_cli.audit.static.source import Source
@@ -48,6 +49,9 @@ def inference_error_ignored(source: Source) -> Iterator[Finding]:
     """
     adapter = ModelClass.of(source)
     excluded = {id(function.node) for function in adapter.reach(*LOADING, *RESETTING)}
+    for name in OBSERVING:
+        if (method := adapter.method(name)) is not None:
+            yield from _skipped(source, method)
     for function in adapter.reach(*OBSERVING, *ACTING):
         for node in function.of(ast.Try) if id(function.node) not in excluded else ():
             risky = _risky(node.body)
@@ -61,6 +65,26 @@ def inference_error_ignored(source: Source) -> Iterator[Finding]:
                         got=ast.unparse(handler).split("\n")[0] + " ... " + instead,
                         fix=Fix("advice", "delete the handler, or raise in it"),
                     )
+
+
+def _skipped(source: Source, function: Function) -> Iterator[Finding]:
+    """Yield handlers of an observation that drop it without an error: the policy acts on the one before."""
+    for node in function.of(ast.Try):
+        risky = _risky(node.body)
+        for handler in node.handlers:
+            inside = [child for entry in handler.body for child in ast.walk(entry)]
+            is_left = isinstance(handler.body[-1], (ast.Return, ast.Continue, ast.Pass)) or all(
+                map(only_reports, handler.body)
+            )
+            is_told = any(isinstance(child, (ast.Raise, ast.Assign, ast.AugAssign)) for child in inside)
+            if risky and is_left and not is_told:
+                yield Finding(
+                    f"an observation with which {risky[0]} fails is dropped: the policy acts on the one before it",
+                    **source.start(function.file, handler),
+                    expected="an exception",
+                    got=ast.unparse(handler).split("\n")[0],
+                    fix=Fix("advice", "delete the handler, or raise in it"),
+                )
 
 
 def _risky(body: list[ast.stmt]) -> list[str]:

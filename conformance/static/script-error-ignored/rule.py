@@ -34,8 +34,8 @@ def script_error_ignored(source: Source) -> Iterator[Finding]:
     ## What it does
     Looks at the steps of each script: programs, installations, changes of the folder. Without `set -e` the script has
     to check every step but the last for failure. With it, the script has to check a step in a pipeline (`set -o
-    pipefail`) and a step followed by `|| true`, unless that only cleans up, tests or stops something. A script that
-    others `source` has their options; a script that sources a library with `set -e` has that.
+    pipefail`) and a step followed by `|| true` or `|| echo`, unless that only cleans up, tests or stops something. A
+    script that others `source` has their options; a script that sources a library with `set -e` has that.
 
     ## Why it matters
     The launcher or job queue that runs the script sees success, although the environment is half installed, or the
@@ -96,9 +96,9 @@ def _hidden(source: Source, name: str, script: ShellScript) -> Iterator[Finding]
             message = f"{lost}: {name} ends with success"
             expected = "set -o pipefail"
             edits = (_first(source, name, expected),)
-        elif command.end == "||" and following in {"true", ":"} and not _may_fail(command):
+        elif command.end == "||" and _only_tells(script[number + 1]) and not _may_fail(command):
             message = f"a failure of `{quote_command(words, 3)}` is ignored: {name} continues without its result"
-            expected = "the step without `|| true`"
+            expected = f"the step without `|| {following}`"
             edits = _without(command, script[number + 1], name)
         else:
             continue
@@ -109,6 +109,12 @@ def _hidden(source: Source, name: str, script: ShellScript) -> Iterator[Finding]
             got=f"{quote_command(words, 3)} {command.end} {following}",
             fix=Fix("unsafe_edit" if edits else "advice", expected, edits),
         )
+
+
+def _only_tells(command: ShellCommand) -> bool:
+    """Tell whether what runs in place of a failed step does nothing, or prints something, and the script goes on."""
+    is_alone = command.end in {"", ";"} and not {"{", "("} & set(command.keywords)
+    return command.name in {"true", ":"} or (command.name in {"echo", "printf"} and is_alone)
 
 
 def _is_read(source: Source, name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 
 from xpl import _spec as sdk
@@ -26,7 +27,8 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Finds truth tests of the seed (`seed or 42`, `if seed:`), seeds that are stored and never used, and actions that are
-    sampled from a global generator without any use of a seed. It is a warning if no code of the adapter names a seed,
+    sampled from a global generator without any use of a seed; also a seed that is read under a key which neither
+    deploy.yml nor a script sets. It is a warning if no code of the adapter names a seed,
     and the code that it wraps draws numbers in a function that infers (`torch.randn` in `predict_action`): the
     configured model may take another path.
 
@@ -51,7 +53,8 @@ def seed_ignored(source: Source) -> Iterator[Finding]:
     if seed_reads and not adapter.config_escapes and not adapter.is_sdk:
         yield from _unused(source, adapter, seed_reads)
     if not seed_reads:
-        yield from _unseeded(source, adapter)
+        misnamed = list(_misnamed(source, adapter))
+        yield from misnamed or _unseeded(source, adapter)
 
 
 def _replaced(source: Source, setting: ConfigRead) -> Iterator[Finding]:
@@ -107,6 +110,22 @@ def _unused(source: Source, adapter: ModelClass, seed_reads: list[ConfigRead]) -
         got="stored, never read",
         fix=Fix("advice", "seed the policy's generator with it; xpl.Policy provides self.rng(env)"),
     )
+
+
+def _misnamed(source: Source, adapter: ModelClass) -> Iterator[Finding]:
+    """Yield a seed that is read under another name than the one by which runs give it."""
+    scripts = "\n".join(source.text(name) for name in source.text_files if name.endswith(".sh"))
+    for setting in adapter.settings:
+        key = str(setting.read.key)
+        if _SEED in key.lower().split("_") and key not in source.deploy and not re.search(rf"\b{key}=", scripts):
+            yield Finding(
+                f"{key} is read, which nothing sets, and {_SEED}, which launchers set, is not: all runs are equal",
+                **source.at(setting.function.file, setting.read.node),
+                expected=_SEED,
+                got=key,
+                fix=Fix("advice", f"read {_SEED}"),
+            )
+            return
 
 
 def _unseeded(source: Source, adapter: ModelClass) -> Iterator[Finding]:

@@ -61,8 +61,11 @@ def read_attributes(functions: list[Function]) -> set[str]:
 def is_memo(write: Write) -> bool:
     """Return whether a write fills a cache: it runs only if the entry or the value is missing.
 
-    Recomputing such an attribute gives the same value, so it need not be cleared.
+    Recomputing such an attribute gives the same value, so it need not be cleared. An entry that is changed afterwards
+    is no cache.
     """
+    if write.kind == "keyed" and _entries_change(write):
+        return False
     inner: ast.AST = write.node
     for ancestor in enclosing(write.node, write.function.up):
         if isinstance(ancestor, ast.If) and write.attribute in _missing_checks(ancestor.test, write.kind):
@@ -72,6 +75,20 @@ def is_memo(write: Write) -> bool:
         if ancestor is write.function.node:
             break
         inner = ancestor
+    return False
+
+
+def _entries_change(write: Write) -> bool:
+    """Return whether the function that adds an entry also calls a method of it for its effect, each time it runs."""
+    for node in write.function.of(ast.Expr):
+        call = node.value
+        if not isinstance(call, ast.Call) or not isinstance(call.func, ast.Attribute):
+            continue
+        entry = call.func.value
+        if isinstance(entry, ast.Subscript) and self_attribute(entry) == write.attribute and node is not write.node:
+            guards = [outer for outer in enclosing(node, write.function.up) if isinstance(outer, ast.If)]
+            if not any(write.attribute in _missing_checks(guard.test, write.kind) for guard in guards):
+                return True
     return False
 
 

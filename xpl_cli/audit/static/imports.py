@@ -6,6 +6,7 @@ import ast
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from xpl import _spec as sdk
 from xpl_cli.audit.static import file_reading
 
 if TYPE_CHECKING:
@@ -48,5 +49,7 @@ def _file(package: Path, module: str, level: int, here: str) -> str | None:
             return None
         base = base.parent
     bases = [base] if level else [base, Path()]
-    candidates = ((folder / module.replace(".", "/")).with_suffix(".py").as_posix() for folder in bases if module)
+    places = [folder / module.replace(".", "/") for folder in bases if module]
+    candidates = [place.with_suffix(".py").as_posix() for place in places]
+    candidates += [f"{place.as_posix()}/{sdk.File.INIT_PY}" for place in places]
     return next(filter(None, (file_reading.resolve_inside(package, candidate) for candidate in candidates)), None)

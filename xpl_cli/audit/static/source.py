@@ -279,10 +279,14 @@ class Source:
         return True
 
     def reached(self, name: str) -> list[str]:
-        """Return a Python file and the adapter's own files that it imports, those in subfolders only one step deep."""
+        """Return a Python file and the adapter's own files that it imports.
+
+        Those in subfolders only one step deep, so that vendored code is not read; a step through the `__init__.py` of
+        a subfolder, which only hands names on, does not count.
+        """
         files = [name] if self.has(name) else []
         for file in files:
-            if "/" not in file:
+            if "/" not in file or file.endswith(f"/{sdk.File.INIT_PY}"):
                 files += [other for other in dict.fromkeys(self.imports(file).values()) if other not in files]
         return files
 

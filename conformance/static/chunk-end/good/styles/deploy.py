@@ -15,7 +15,10 @@ def eval_one_episode_batch(TASK_ENV, model_client):
     model_client.call(func_name="reset")
     while running := TASK_ENV.get_running_env_idx_list():
         model_client.call(func_name="update_obs_batch", obs=TASK_ENV.get_obs_batch(running))
-        chunks = model_client.call(func_name="get_action_batch", obs=running)
-        while chunks[0] and not TASK_ENV.is_episode_end():
-            TASK_ENV.take_action_batch([chunk.pop(0) for chunk in chunks], running)
+        chunks = dict(zip(running, model_client.call(func_name="get_action_batch", obs=running)))
+        while running and chunks[running[0]]:
+            TASK_ENV.take_action_batch([chunks[env].pop(0) for env in running], running)
+            running = TASK_ENV.get_running_env_idx_list()
+            if not running:
+                break
             model_client.call(func_name="update_obs_batch", obs=TASK_ENV.get_obs_batch(running))
