@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import TYPE_CHECKING
 
 from xpl_cli.audit.formats.causes import causes
@@ -116,15 +117,16 @@ def _with(reports: Iterable[TargetReport], outcome: Outcome) -> list[TargetRepor
 
 
 def _explain_findings(reports: Sequence[TargetReport], context: ReportContext) -> list[str]:
-    """Return the commands that explain the rules with the most harmful findings; of a failed audit the failures."""
+    """Return the commands that explain the rules with the most harmful findings, then of the most packages.
+
+    Of a failed audit they are those of failures.
+    """
     found = causes(listed_findings(reports, context))
     fails = any(cause.fails for cause in found)
-    codes = dict.fromkeys(
-        entry.result.code
-        for cause in sorted(found, key=lambda cause: cause.harm.rank)
-        for entry in cause.entries
-        if entry.fails or not fails
-    )
+    counted = [entry for cause in found for entry in cause.entries if entry.fails or not fails]
+    packages = Counter(code for _, code in {(id(entry.target), entry.result.code) for entry in counted})
+    worst_first = sorted(counted, key=lambda entry: (entry.result.harm.rank, -packages[entry.result.code]))
+    codes = dict.fromkeys(entry.result.code for entry in worst_first)
     return [f"xpl explain {code}" for code in list(codes)[:_MOST_RULES]]
 
 
