@@ -81,7 +81,7 @@ def write_wan(folder: Path, gain: Callable[[str], float]) -> None:
         "num_heads": 2,
         "num_layers": 1,
     }
-    image = {"dim": 8, "dec_dim": 8}
+    image = {"dim": 4, "dec_dim": 4}
     encoder, vae = WanTextEncoder(**text), WanVideoVAE38(**image).model
     with torch.no_grad():
         encoder.token_embedding.weight *= gain("instruction")
