@@ -259,7 +259,8 @@ class _Switches(ast.NodeTransformer):
     def visit_Subscript(self, node: ast.Subscript) -> ast.AST:
         slices = [one for one in ast.walk(node.slice) if isinstance(one, (ast.Slice, ast.List))]
         is_read = isinstance(node.ctx, ast.Load)
-        return self._with_choices(node, [(node.value, f"[{_short(node.slice)}]")] if slices and is_read else [])
+        index = ast.unparse(node)[len(ast.unparse(node.value)) :]
+        return self._with_choices(node, [(node.value, index)] if slices and is_read else [])
 
     def visit_IfExp(self, node: ast.IfExp) -> ast.AST:
         text = _short(node)
