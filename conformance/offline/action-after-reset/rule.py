@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.compare import brief, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL209", requirement="XPL-EPI-3", tries="resets", handler="reset")
+@rule(code="XPL209", requirement="XPL-EPI-3", tries="resets", handler=spec.Method.RESET)
 def action_after_reset(probe: Probe) -> Iterator[Finding]:
     """After reset the adapter still returns actions of the previous episode.
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl.worker.watch import SWALLOWED
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.probe import blame
 
 
-@rule(code="XPL224", requirement="XPL-EPI-4", tries="resets", handler="reset")
+@rule(code="XPL224", requirement="XPL-EPI-4", tries="resets", handler=spec.Method.RESET)
 def reset_fails_loudly(in_process_run: InProcessRun) -> Iterator[Finding]:
     """A failed reset is reported as successful.
 

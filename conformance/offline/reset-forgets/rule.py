@@ -11,7 +11,7 @@ from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import RecordedClient
 
 
-@rule(code="XPL208", requirement="XPL-EPI-1", compares=True, tries="resets", handler="reset")
+@rule(code="XPL208", requirement="XPL-EPI-1", compares=True, tries="resets", handler=spec.Method.RESET)
 def reset_forgets(probe: Probe) -> Iterator[Finding]:
     """An episode depends on the previous one.
 

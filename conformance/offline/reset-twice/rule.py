@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.served.compare import brief, difference, error_code
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL210", requirement="XPL-EPI-2", compares=True, tries="resets", handler="reset")
+@rule(code="XPL210", requirement="XPL-EPI-2", compares=True, tries="resets", handler=spec.Method.RESET)
 def reset_twice(probe: Probe) -> Iterator[Finding]:
     """A second reset changes the episode.
 

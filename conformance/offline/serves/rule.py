@@ -8,7 +8,7 @@ from xpl_cli.audit import Finding, Fix, NotRun, rule
 from xpl_cli.audit.served.probe import Probe, blame
 
 
-@rule(code="XPL201", requirement="XPL-CON-1", tries="loading")
+@rule(code="XPL201", requirement="XPL-CON-1", tries="loading the model")
 def serves(probe: Probe) -> Iterator[Finding]:
     """The policy cannot be served.
 
