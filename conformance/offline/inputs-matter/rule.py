@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from xpl import _spec as spec
-from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.semantics import Semantics
 from xpl_cli.audit.served.probe import Probe
 
@@ -15,7 +15,8 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     """A required input has no effect on the actions.
 
     ## What it does
-    Changes each input that the manifest requires, one at a time, and checks that the action changes.
+    Changes each input that the manifest requires, one at a time, and checks that the action changes. Without a manifest
+    it looks for cameras of one side that change the action while those of the other side do not.
 
     ## Why it matters
     A camera, state or instruction that never reaches the model costs bandwidth and hides a bug: the key is read under a
@@ -31,6 +32,9 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
     ## Fix safety
     No automatic fix.
     """
+    if not probe.package.manifest:
+        yield from _one_sided(semantics)
+        return
     required = probe.named_inputs()
     unseen = semantics.ignored_inputs()
     for name in required:
@@ -45,3 +49,27 @@ def inputs_matter(probe: Probe, semantics: Semantics) -> Iterator[Finding]:
                 got="the same action",
                 fix=Fix("advice", f"use {name} in encode, or move it to inputs.unused in policy.yml"),
             )
+
+
+def _one_sided(semantics: Semantics) -> Iterator[Finding]:
+    """Yield the inputs of one side that change no action, while those of the other side do.
+
+    Raises:
+        NotApplicable: no input has a counterpart on the other side.
+    """
+    unseen = semantics.ignored_inputs()
+    names = {change.input for change, _ in semantics.effects if change.kind == "input"}
+    pairs = [(name, name.replace("left", "right")) for name in sorted(names) if "left" in name]
+    pairs = [(left, right) for left, right in pairs if right in names and {left, right} - unseen]
+    if not pairs:
+        raise NotApplicable("no policy.yml declares a required input, and no input is one of a left and a right one")
+    for pair in pairs:
+        for name, other in (pair, pair[::-1]):
+            if name in unseen:
+                yield Finding(
+                    message=f"{name} changes no action, while {other} does: it never reaches the model",
+                    path=spec.File.MODEL_PY,
+                    expected=f"another action for another {name}",
+                    got="the same action",
+                    fix=Fix("advice", f"look for {name} in the code that encodes observations"),
+                )

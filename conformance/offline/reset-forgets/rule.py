@@ -18,8 +18,8 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     ## What it does
     Runs the same episode after different ones and compares it: after another scene of other length in another
     environment; after a longer one in the same environment with the same instruction; after the same scene with other
-    images, and with another state; after a batch. So a cache is found whatever its key is. The first two run in
-    separate servers. A policy that seeds each episode by its number passes.
+    images, with another state, and with another instruction; after a batch. So a cache is found whatever its key is.
+    The first two run in separate servers. A policy that seeds each episode by its number passes.
 
     ## Why it matters
     Only the first episode of a run is then comparable; success rates depend on the order of the tasks.
@@ -81,6 +81,13 @@ def _other_state(probe: Probe, policy: RecordedClient) -> None:
     _play(probe, policy, spec.Obs.STATE)
 
 
+def _other_instruction(probe: Probe, policy: RecordedClient) -> None:
+    policy.reset()
+    for step in range(4):
+        policy.update_obs({**probe.observation(1, step), spec.Obs.INSTRUCTION: "put the other thing somewhere else"})
+        policy.get_action()
+
+
 def _batch(probe: Probe, policy: RecordedClient) -> None:
     policy.reset()
     policy.update_obs_batch(probe.observations([2, 1, 0]))
@@ -100,6 +107,7 @@ _BEFORE = {
     "a longer one of another scene in the same environment with the same instruction": _same_environment,
     "one that differed in its images only": _other_pictures,
     "one that differed in its state only": _other_state,
+    "one that differed in its instruction only": _other_instruction,
     "one of three environments": _batch,
 }
 """Episodes to play before, by what they are: whatever a cache is keyed by, one of them has it in common."""
