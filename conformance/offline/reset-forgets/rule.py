@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotRun, rule
 from xpl_cli.audit.served.compare import brief, difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
-from xpl_cli.audit.served.recorded_client import RecordedClient
+from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 
 @rule(code="XPL208", requirement="XPL-EPI-1", compares=True, tries="resets", handler=spec.Method.RESET)
@@ -19,7 +19,8 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     Runs the same episode after different ones and compares it: after another scene of other length in another
     environment; after a longer one in the same environment with the same instruction; after the same scene with other
     images, with another state, and with another instruction; after a batch. So a cache is found whatever its key is.
-    The first two run in separate servers. A policy that seeds each episode by its number passes.
+    The first two, and the one of another instruction, run in separate servers. A policy that seeds each episode by its
+    number passes.
 
     ## Why it matters
     Only the first episode of a run is then comparable; success rates depend on the order of the tasks.
@@ -40,15 +41,26 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
         expected = probe.episode(policy, env=1)
     if not any(map(is_answer_list, expected)):
         raise NotRun(f"in environment 1 every get_action fails: {brief(expected[0])}")
+    for group in _BEFORE:
+        found = _compared(probe, group, expected)
+        if found is not None:
+            yield found
+            return
+
+
+def _compared(
+    probe: Probe, group: Mapping[str, Callable[[Probe, RecordedClient], None]], expected: Sequence[Answer]
+) -> Finding | None:
+    """Return how an episode differs after one of several others, which are played on one server."""
     with probe.fresh_session() as policy:
         # Where the number of an episode makes a difference, only the second one of each server can be compared.
-        for what, play in list(_BEFORE.items())[: None if probe.repeats_in_place else 1]:
+        for what, play in list(group.items())[: None if probe.repeats_in_place else 1]:
             play(probe, policy)
             for step, pair in enumerate(zip(expected, probe.episode(policy, env=1), strict=True)):
                 mismatch = difference(*pair)
                 if mismatch is not None:
                     probe.require_repeatable_afresh()
-                    yield blame(
+                    return blame(
                         f"an episode depends on the previous one, {what}: state survives reset, and results "
                         "depend on the order of episodes",
                         expected="the actions of the same episode after one of another scene in another environment",
@@ -62,7 +74,7 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
                         },
                         fix=Fix("advice", "clear every buffer, cache, counter and chunk queue in reset"),
                     )
-                    return
+    return None
 
 
 def _another_scene(probe: Probe, policy: RecordedClient) -> None:
@@ -103,11 +115,13 @@ def _play(probe: Probe, policy: RecordedClient, *other: str) -> None:
         policy.get_action()
 
 
-_BEFORE = {
-    "a longer one of another scene in the same environment with the same instruction": _same_environment,
-    "one that differed in its images only": _other_pictures,
-    "one that differed in its state only": _other_state,
-    "one that differed in its instruction only": _other_instruction,
-    "one of three environments": _batch,
-}
+_BEFORE: tuple[Mapping[str, Callable[[Probe, RecordedClient], None]], ...] = (
+    {
+        "a longer one of another scene in the same environment with the same instruction": _same_environment,
+        "one that differed in its images only": _other_pictures,
+        "one that differed in its state only": _other_state,
+        "one of three environments": _batch,
+    },
+    {"one that differed in its instruction only": _other_instruction},
+)
 """Episodes to play before, by what they are: whatever a cache is keyed by, one of them has it in common."""
