@@ -191,10 +191,13 @@ def test_a_checkpoint_names_the_inputs_that_its_model_knows(tmp_path: Path) -> N
     ]
 
 
-def test_a_model_may_resize_what_the_block_turns_and_resizes() -> None:
-    """Without its resize the model gets the camera's own size, whatever other steps are left."""
-    steps = [{"mirror": "left_right"}, {"resize": {"to": [8, 8], "filter": "area"}}]
+@pytest.mark.parametrize(
+    ("name", "how"), [("resize", {"to": [8, 8], "filter": "area"}), ("crop", {"fraction": 0.95})], ids=str
+)
+def test_a_model_may_itself_resize_what_the_block_turns(name: str, how: dict[str, Any]) -> None:
+    """Without the block's resize or crop the model gets the camera's own size, whatever other steps are left."""
+    steps = [{"mirror": "left_right"}, {name: how}]
     block = {"images": [{"input": "image", "cameras": ["cam_head"], "steps": steps}], "action": {}}
     case = catalogue.AdapterCase(get_embodiment("franka_single"), "joint", block=block)
     found = {one.description: one.edits for one in image_size.CONVENTION.config_mistakes(case)}
-    assert found["no resize"] == {("images", 0, "steps"): steps[:1]}
+    assert found[f"no {name}"] == {("images", 0, "steps"): steps[:1]}

@@ -107,16 +107,11 @@ def change_steps(change: StepsChange) -> EntryChange:
         changed = change(steps)
         if changed is None or changed == steps:
             return None
-        is_own = _sets_size(steps) and not _sets_size(changed)
-        if changed and not is_own and _size(steps) != _size(changed):
+        if changed and _size(changed) not in (_size(steps), _NOMINAL):
             return None
         return {"steps": changed or REMOVE}
 
     return of
-
-
-def _sets_size(steps: Steps) -> bool:
-    return any("to" in how for step in steps for how in step.values() if isinstance(how, dict))
 
 
 def shape_after(word: str, how: Any, shape: tuple[int, int]) -> tuple[int, int]:
