@@ -32,10 +32,13 @@ CODE = """
             state = (state + 1) * 2
             while state.max() > 1e6:
                 state = state / 2
-            return image[::-1], self.kept, turned(state), self.drawn(3, noise=1)
+            return image[::-1], self.kept, turned(state), self.drawn(3, noise=1), opened({"gripper": state[:1]})
 
         def drawn(self, count, noise=0):
             return count + noise
+
+    def opened(action):
+        return 1 - 2 * action["gripper"]
 
     def turned(state):
         return state[[1, 0, 2, 3]]
@@ -74,7 +77,8 @@ def without(parts: tuple[CodeParts, Any], text: str) -> tuple[Any, str]:
 
 
 def test_without_a_part_the_rest_runs_as_before(parts: tuple[CodeParts, Any]) -> None:
-    image, text, state, drawn = parts[1]()
+    image, text, state, drawn, opening = parts[1]()
+    assert opening == [-7]
     assert (text, drawn) == ("Task: lift?", 4)
     np.testing.assert_array_equal(image, IMAGE[::-1, :, ::-1])
     np.testing.assert_array_equal(state, [6, 4, 8, 10])
@@ -111,6 +115,11 @@ def test_keywords_terms_and_statements_are_left_out(parts: tuple[CodeParts, Any]
     np.testing.assert_array_equal(result[2], [2, 1, 3, 4])
     assert convention == "normalization"
     np.testing.assert_array_equal(without(parts, "text = f")[0][0], IMAGE[::-1, :, ::-1])
+
+
+def test_one_number_is_told_by_its_name(parts: tuple[CodeParts, Any]) -> None:
+    result, convention = without(parts, "1 - 2 * action['gripper'], but action")
+    assert (result[4], convention) == ([4], "gripper")
 
 
 def test_what_loads_or_loops_is_no_part(parts: tuple[CodeParts, Any]) -> None:

@@ -108,8 +108,9 @@ class CodeParts:
         """Return the convention of a part that was left out, by what it did to its value; "" if that does not tell."""
         number = self.numbers[place]
         if number not in self._conventions:  # with the first calls, with which values were seen
-            found = convention_of_change(self._seen.get(number), self._after)
-            self._conventions[number] = found or _by_text(self._parts[number].text)
+            before, told = self._seen.get(number), _by_text(self._parts[number].text)
+            found = told if _is_number(before) else convention_of_change(before, self._after)
+            self._conventions[number] = found or told
         return self._conventions[number]
 
     # -- called by the adapter's code ----------------------------------------------------------------------------------
@@ -411,6 +412,11 @@ def _of_images(before: np.ndarray, after: np.ndarray) -> str:
     return "image_filter"
 
 
+def _is_number(value: Any) -> bool:
+    """Return whether a value is an array of numbers of one kind, of which only a name may tell what they are."""
+    return isinstance(value, np.ndarray) and value.shape[-1:] in ((1,), (2,)) and channel_axis(value) is None
+
+
 def _of_numbers(before: np.ndarray, after: np.ndarray) -> str:
     if before.shape != after.shape:
         is_longer = before.ndim == after.ndim > 1 and before.shape[-1] == after.shape[-1]
@@ -428,8 +434,12 @@ def _is_near(one: np.ndarray, other: np.ndarray) -> bool:
     return one.shape == other.shape and np.allclose(one, other, rtol=_NEAR)
 
 
-_TEXTS = (("noise", "sampling"), ("seed", "sampling"), ("generator", "sampling"), ("sample", "sampling"))
+_KEYWORDS = (("noise", "sampling"), ("seed", "sampling"), ("generator", "sampling"), ("sample", "sampling"))
+_NAMES = (("gripper", "gripper"), ("finger", "gripper"))
 
 
 def _by_text(text: str) -> str:
-    return next((convention for word, convention in _TEXTS if text.startswith(word)), "")
+    """Return the convention that the code's own names tell: of a keyword, or anywhere in it."""
+    told = [convention for word, convention in _KEYWORDS if text.startswith(word)]
+    told += [convention for word, convention in _NAMES if word in text.lower()]
+    return told[0] if told else ""
