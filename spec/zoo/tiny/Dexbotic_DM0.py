@@ -76,8 +76,8 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
     spread = {"state": [2.0] * DIMS, "action": [0.05] * DIMS}
     for base in (0, 14):  # an arm: six joints, the gripper, the pose
         state[base : base + 6] = ARM
-        for kind, middle in (("state", state), ("action", change)):
-            middle[base + 6] = spread[kind][base + 6] = 0.5
+        state[base + 6] = change[base + 6] = spread["state"][base + 6] = 0.5
+        spread["action"][base + 6] = 0.1  # the noise, whatever it is, may not leave 0..1
     limits = {
         kind: {
             "min": [value - width for value, width in zip(middle, spread[kind], strict=True)],
