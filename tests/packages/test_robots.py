@@ -216,3 +216,31 @@ def test_words_of_benchmarks_stand_for_robots() -> None:
 def test_a_name_whose_words_stand_in_another_order_is_meant() -> None:
     with pytest.raises(UnknownEmbodimentError, match=r"did you mean arx_x5_single\?"):
         get_embodiment("single_arx_x5")
+
+
+def test_a_checkout_names_robots_by_their_dimensions(tmp_path: Path) -> None:
+    """Those that the standard does not know become robots of these dimensions; what cannot be one is left out."""
+    adapter = tmp_path / "XPolicyLab" / "policy" / "Foo"
+    adapter.mkdir(parents=True)
+    (adapter.parents[1] / "model_template.py").write_text("")
+    known = {
+        "two_handed_thing": {"arm_dim": [5, 5], "ee_dim": [2, 2]},
+        "one_armed_thing": {"arm_dim": [9], "ee_dim": [1]},
+        "franka": {"arm_dim": [3, 3], "ee_dim": [1, 1]},
+        "uneven_thing": {"arm_dim": [5, 6], "ee_dim": [1, 1]},
+        "../thing": {"arm_dim": [5], "ee_dim": [1]},
+        "no_thing": "unknown",
+    }
+    path = adapter.parents[1] / "utils" / "robot" / "_robot_info.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps(known))
+    projects.register_robots(adapter)
+    two, one = get_embodiment("two_handed_thing"), get_embodiment("one_armed_thing")
+    assert ([arm.dof for arm in two.arms], [arm.ee_dim for arm in two.arms]) == ([5, 5], [2, 2])
+    assert ([arm.dof for arm in one.arms], one.prefixes) == ([9], ("",))
+    assert [arm.dof for arm in get_embodiment("franka").arms] == [7, 7]
+    for name in ("uneven_thing", "no_thing", "../thing"):
+        with pytest.raises(UnknownEmbodimentError):
+            get_embodiment(name)
+    path.write_text("{")
+    projects.register_robots(adapter)  # of a file that is none, nothing is said

@@ -6,11 +6,13 @@ to those of the standard, and are passed to every child process (`xpl.robots`).
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from xpl import registry
+from xpl import json_text, registry
 from xpl import robots as sdk_robots
+from xpl.ecosystem import checkout
 from xpl_cli.basics.errors import ExitCode, UserError
 from xpl_cli.packages.manifests import ManifestError, content_of
 
@@ -23,6 +25,10 @@ FOLDER: Final = "embodiments"
 DESCRIPTION: Final = "embodiment_description"
 """Key of a recorded run's configuration with the description of a project's robot."""
 _PACKAGE_FOLDERS: Final = ("policy", "envs")
+_CHECKOUT_ROBOTS: Final = Path("utils", "robot", "_robot_info.json")
+"""In a checkout of the ecosystem: dimensions of robots by name."""
+_ARMS: Final = {1: ["single"], 2: ["left", "right"]}
+_MOST_JOINTS: Final = 64
 _MOST_FILES: Final = 64
 _MOST_BYTES: Final = 1 << 20
 """Largest total size of the robots of a folder; one with `like` is read again until its base is registered."""
@@ -48,6 +54,41 @@ def register_robots(package: Path | None = None) -> None:
             raise source.unusable(str(error)) from None
     for folder in dict.fromkeys(_folders(package)):
         _register_folder(folder)
+    if package is not None and (root := checkout.find_root(package.resolve())) is not None:
+        _register_checkout(root / _CHECKOUT_ROBOTS)
+
+
+def _register_checkout(path: Path) -> None:
+    """Register the robots that only a checkout of the ecosystem names, by their dimensions; the rest is not known.
+
+    An entry that the standard cannot express, such as arms of different joints, is left out.
+    """
+    try:
+        content = path.read_bytes() if path.stat().st_size <= _MOST_BYTES else b""
+        named = json_text.parse(content)
+    except (OSError, json_text.JsonError):
+        return
+    for name, entry in list(named.items())[:_MOST_FILES] if isinstance(named, dict) else ():
+        arms, hands = (_uniform(entry.get(key)) if isinstance(entry, dict) else [] for key in ("arm_dim", "ee_dim"))
+        if sdk_robots.canonical(name) is not None or len(arms) != len(hands) or len(arms) not in _ARMS:
+            continue
+        described = {
+            "name": name,
+            "description": f"A robot of which {path.name} of a checkout tells the dimensions alone.",
+            "arms": _ARMS[len(arms)],
+            "arm": {"dof": arms[0], "joints": None, "home": None},
+            "end_effector": {"kind": "parallel_gripper" if hands[0] == 1 else "hand", "dim": hands[0], "stroke": None},
+        }
+        with contextlib.suppress(sdk_robots.RobotError):
+            sdk_robots.offer(described, _display_path(path))
+
+
+def _uniform(dimensions: object) -> list[int]:
+    """Return a list of one positive dimension, once for each arm; empty if a value is none."""
+    if not isinstance(dimensions, list):
+        return []
+    is_one = all(isinstance(one, int) and 0 < one <= _MOST_JOINTS and one == dimensions[0] for one in dimensions)
+    return dimensions if is_one else []
 
 
 def canonical_name(word: str | None, package: Path | None = None) -> str | None:
