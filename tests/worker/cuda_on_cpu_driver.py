@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
 import tempfile
@@ -11,6 +12,10 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, sys.argv[1])
+if sys.argv[2] == "late":
+    with contextlib.suppress(ImportError):
+        import safetensors.torch  # noqa: F401
+        import transformers.modeling_utils  # noqa: F401
 from xpl.worker import cuda_on_cpu
 
 cuda_on_cpu.enable()

@@ -31,12 +31,13 @@ TRIES = (
 )
 
 
-@pytest.fixture(scope="module")
-def results() -> dict[str, object]:
+@pytest.fixture(scope="module", params=["early", "late"])
+def results(request: pytest.FixtureRequest) -> dict[str, object]:
+    """Return what the tries returned, redirected before or after the libraries are imported."""
     python = next((one for one in PYTHONS if one and Path(one).is_file()), None)
     if python is None:
         pytest.skip("no Python with torch: `xpl install policy/Tiny_VLA`, or name one in XPL_TORCH_PYTHON")
-    run = subprocess.run([python, str(DRIVER), str(ROOT)], capture_output=True, text=True, check=False)
+    run = subprocess.run([python, str(DRIVER), str(ROOT), request.param], capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     found = json.loads(run.stdout)
     assert set(found) == set(TRIES)

@@ -52,6 +52,7 @@ _ANSWERS: dict[str, Any] = {
     "memory_allocated": 0,
     "memory_reserved": 0,
 }
+_CONFIGURATIONS = "transformers.configuration_utils"
 _enabled = False
 
 
@@ -74,6 +75,8 @@ def enable() -> None:
     _redirect_files(torch)
     _redirect_modes(torch)
     _replace_cuda_module(torch)
+    if _CONFIGURATIONS in sys.modules:  # of a worker that is a copy of one with the adapter's libraries
+        setattr(sys.modules[_CONFIGURATIONS].PretrainedConfig, _Attention.NAME, _Attention())
     sys.meta_path.insert(0, _AvoidFlashAttention())
     _enabled = True
 
@@ -155,11 +158,12 @@ def _redirect_files(torch: Any) -> None:
     torch.load = _redirected(torch.load)
     torch.jit.load = _redirected(torch.jit.load)
     if importlib.util.find_spec("safetensors") is not None:
-        safetensors = importlib.import_module("safetensors")
-        files = importlib.import_module("safetensors.torch")
-        safetensors.safe_open = files.safe_open = _redirected(  # type: ignore[attr-defined]
-            safetensors.safe_open, first_may_be_index=True
-        )
+        importlib.import_module("safetensors.torch")
+        original = vars(sys.modules["safetensors"])["safe_open"]
+        redirected = _redirected(original, first_may_be_index=True)
+        for module in list(sys.modules.values()):  # some have it by its name
+            if getattr(module, "__dict__", {}).get("safe_open") is original:
+                vars(module)["safe_open"] = redirected
 
 
 def _redirect_modes(torch: Any) -> None:
@@ -207,7 +211,7 @@ class _AvoidFlashAttention(importlib.abc.MetaPathFinder):
     """Changes the configurations of `transformers` when that is imported, which takes seconds."""
 
     def find_spec(self, name: str, path: Any, target: Any = None) -> Any:
-        if name != "transformers.configuration_utils":
+        if name != _CONFIGURATIONS:
             return None
         spec = importlib.machinery.PathFinder.find_spec(name, path, target)
         if spec is not None and spec.loader is not None:
