@@ -16,6 +16,8 @@ from xpl_cli.audit.served.recorded_client import Answer
 
 _GROUPS = {"images": spec.Obs.VISION, "state": spec.Obs.STATE}
 """Parts of an observation, as the model_io block calls them."""
+_MANY = 12
+"""Observations without a request between: more than the histories of the field."""
 _Second = Callable[..., "Answer"]
 """Plays the episode with these observations after the first question, and returns the second answer."""
 
@@ -68,6 +70,12 @@ def observations_between_inferences(probe: Probe) -> Iterator[Finding]:
             yield _finding("depends on older ones, not on the newest: the policy lags behind", all_shown)
             return
         raise NotApplicable("the newest observation gives the same actions as the one before it")
+    many = [{**probe.observation(scene, scene % 5), spec.Obs.ENV_IDX: 0} for scene in range(_MANY)]
+    changed = _changed(newest, changed_inputs.present(newest))
+    is_told_apart = not same(all_shown, second(*between, changed))
+    if is_told_apart and same(second(*many, newest), second(*many, changed)):
+        yield _finding(f"no longer depends on the newest one after {_MANY} others: the policy lags behind", all_shown)
+        return
     if span > 1:
         yield from _with_a_history(probe, second, between, newest, all_shown)
 

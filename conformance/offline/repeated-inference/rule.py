@@ -6,19 +6,22 @@ from collections.abc import Iterator
 from typing import Any
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
 
+_OTHER_SEED = 7
+
 
 @rule(code="XPL211", requirement="XPL-EPI-5", compares=True, tries="get_action twice")
-def repeated_inference(probe: Probe) -> Iterator[Finding]:
+def repeated_inference(probe: Probe, configurations: Configurations) -> Iterator[Finding]:
     """A second get_action on one observation fails, or returns another action.
 
     ## What it does
     Sends one observation and calls `get_action` twice. If the policy's action depends only on the observation, the
     second action must equal the first. If the manifest declares memory, the second action must not be that of an
-    observation sent twice. If actions vary by themselves, by random numbers or ensembling, the rule only checks that
-    there is a second one.
+    observation sent twice. Without a manifest, that counts too if the seed has no effect on the actions. If actions
+    vary by themselves, by random numbers or ensembling, the rule only checks that there is a second one.
 
     ## Why it matters
     Clients retry, and debug tools call again. An adapter whose inference consumes or changes the stored observation
@@ -64,6 +67,13 @@ def repeated_inference(probe: Probe) -> Iterator[Finding]:
             **details,
             fix=Fix("advice", "never change a stored observation in place; copy before normalising or popping keys"),
         )
+    elif same(second, shown_again) and probe.repeats_in_place and _is_without_seed(probe, configurations):
+        yield blame(
+            "a second get_action on the same observation returns another action, and no seed has a part in it: each "
+            "request advances the policy's memory, or draws numbers that no seed reaches",
+            **details,
+            fix=Fix("advice", "advance memory in update_obs, and draw numbers from a generator made from the seed"),
+        )
     elif _remembers(probe) and same(second, shown_again) and probe.repeats_in_place:
         yield blame(
             "a second get_action on the same observation returns the action for an observation sent twice: "
@@ -74,6 +84,13 @@ def repeated_inference(probe: Probe) -> Iterator[Finding]:
     else:
         # Random numbers and averaging over time do that, and nobody can tell what else does.
         raise NotApplicable("actions change from inference to inference, also if the same observation is sent again")
+
+
+def _is_without_seed(probe: Probe, configurations: Configurations) -> bool:
+    """Tell whether an adapter that cannot declare memory acts alike with any seed."""
+    if probe.package.manifest or configurations.usual.refusal is not None:
+        return False
+    return configurations.usual.difference(configurations.with_seed(_OTHER_SEED)) is None
 
 
 def _remembers(probe: Probe) -> bool:

@@ -106,6 +106,13 @@ def _batch(probe: Probe, policy: RecordedClient) -> None:
     policy.get_action_batch([0, 1])
 
 
+def _shrunk(probe: Probe, policy: RecordedClient) -> None:
+    policy.reset()
+    for scenes in ((2, 1, 0), (2, 0)):
+        policy.update_obs_batch(probe.observations(list(scenes)))
+        policy.get_action_batch(list(scenes))
+
+
 def _play(probe: Probe, policy: RecordedClient, *other: str) -> None:
     """Play an episode like the one that is compared, but longer and with some parts of another scene."""
     policy.reset()
@@ -121,6 +128,7 @@ _BEFORE: tuple[Mapping[str, Callable[[Probe, RecordedClient], None]], ...] = (
         "one that differed in its images only": _other_pictures,
         "one that differed in its state only": _other_state,
         "one of three environments": _batch,
+        "one of a batch in which this environment ended first": _shrunk,
     },
     {"one that differed in its instruction only": _other_instruction},
 )

@@ -178,6 +178,10 @@ def _is_in_loop(read: KeyRead, function: Function) -> bool:
 def _asks_first(function: Function) -> bool:
     """Tell whether the method asks for the key before it relies on it."""
     return any(
-        isinstance(node, ast.Compare) and isinstance(node.ops[0], (ast.In, ast.NotIn)) and _KEY in texts(node.left)
+        isinstance(node, ast.Compare)
+        and (
+            (isinstance(node.ops[0], (ast.In, ast.NotIn)) and _KEY in texts(node.left))
+            or (isinstance(node.ops[0], (ast.Is, ast.IsNot)) and f"'{_KEY}'" in ast.unparse(node.left))
+        )
         for node in function.nodes
     )

@@ -56,7 +56,7 @@ def pairings(function: Function, requested: set[str]) -> Iterator[ast.AST]:
         function: a method that gets the list of environments.
         requested: names of that list in it.
     """
-    stored = _stored_names(function)
+    stored = _stored_names(function) - requested
     counters = _counters(function, requested)
     for node in function.of(ast.Subscript):
         if not _is_stored(node.value, stored) or not isinstance(node.ctx, ast.Load):
