@@ -92,6 +92,7 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
             tower.patch_embed.proj.weight *= max(gain(f"cam_{name}") for name in ("head", "left_wrist", "right_wrist"))
         model.language_model.model.embed_tokens.weight *= gain("instruction")
         proprio.fc1.weight *= 16 * gain("state")
+        head.model.fc2.weight *= 0.4  # the grippers may not leave 0..1
         for layer in model.language_model.model.layers:  # attention that depends on what a token is, and where
             layer.self_attn.q_proj.weight *= 128
             layer.self_attn.k_proj.weight *= 128
