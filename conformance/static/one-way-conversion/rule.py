@@ -10,7 +10,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
-from xpl_cli.audit.static.dataflow import sources_of, uses_of
+from xpl_cli.audit.static.dataflow import everywhere_after, sources_of, uses_of
 from xpl_cli.audit.static.function import Function
 from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
@@ -47,7 +47,7 @@ def one_way_conversion(source: Source) -> Iterator[Finding]:
     ## What it does
     Follows `ee_pose`, `ee_joint_state` and `arm_joint_state` from the observation into the model, and from the model's
     answer into the action: whether a quaternion is reordered, a gripper inverted or scaled, an angle turned into
-    degrees. A conversion of the input without one of the answer is a warning: a model may answer in another convention
+    degrees. A conversion on one way without one on the other is a warning: a model may answer in another convention
     than that of its input. Nothing is said if a function of another package may convert, or if an attribute keeps the
     value in between.
 
@@ -78,15 +78,31 @@ def one_way_conversion(source: Source) -> Iterator[Finding]:
         outward = [part for function, node in written for part in sources_of(adapter, function, node)]
         is_in, is_out = any(map(convention.converts, inward)), any(map(convention.converts, outward))
         if is_in and not is_out and not _is_lost(outward, convention, kept):
-            function, node = written[0]
-            yield Finding(
+            yield _finding(
+                source,
+                written[0],
                 f"{convention.name} is converted for the model, and goes out as the model answered it",
-                **source.at(function.file, node),
-                expected="the inverse of the conversion of the observation",
-                got=ast.unparse(node)[:80],
-                fix=Fix("advice", "convert the answer back, or say in a comment that the model answers otherwise"),
-                must=False,
             )
+        elif is_out and not is_in:
+            after = everywhere_after(adapter, [node for _, node in read])
+            if not any(convention.converts(part) or convention.may_convert(part) for part in after):
+                yield _finding(
+                    source,
+                    read[0],
+                    f"{convention.name} of the answer is converted, and the model gets the observed one",
+                )
+
+
+def _finding(source: Source, place: tuple[Function, ast.expr], problem: str) -> Finding:
+    function, node = place
+    return Finding(
+        problem,
+        **source.at(function.file, node),
+        expected="the inverse of the conversion on the other way",
+        got=ast.unparse(node)[:80],
+        fix=Fix("advice", "convert both ways, or say in a comment in which convention the model observes and answers"),
+        must=False,
+    )
 
 
 def _is_lost(parts: list[ast.AST], convention: _Convention, kept: set[str]) -> bool:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import functools
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final
 
-from xpl_cli.audit.static.syntax import dotted, names, parameters, targets
+from xpl_cli.audit.static.syntax import dotted, names, parameters, self_attribute, targets
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -59,7 +61,7 @@ def _collect_sources(  # noqa: PLR0913, PLR0917 - what a walk carries
     depth: int,
 ) -> None:
     made = _assignments(function)
-    for node in _parts(value, lambda call: adapter.callee(function, call) is None and not _is_array_call(call)):
+    for node in _parts(value, functools.partial(_is_foreign, adapter, function)):
         found.append(node)
         if isinstance(node, ast.Name) and (id(function.node), node.id) not in seen:
             seen.add((id(function.node), node.id))
@@ -131,6 +133,88 @@ def _collect_uses(  # noqa: PLR0913, PLR0917 - what a walk carries
                 _collect_uses(adapter, other, set(), given, found, seen, depth + 1)
 
 
+def everywhere_after(adapter: ModelClass, values: list[ast.expr]) -> list[ast.AST]:
+    """Return all expressions of statements that values may reach: through names, attributes, calls and returns.
+
+    More than the values may be meant, for example other entries of a map that holds one of them.
+    """
+    reach = _Reach(adapter, {id(value) for value in values})
+    before = -1
+    while before != (before := reach.size()):
+        for function in adapter.reach(*adapter.methods):
+            reach.propagate(function)
+    return [node for statement in reach.statements.values() for node in _parts(statement)]
+
+
+@dataclass
+class _Reach:
+    """Where values may be.
+
+    Attributes:
+        marked: ids of the expressions that are the values.
+        held: local names, by function.
+        attributes: of `self`.
+        returning: ids of the functions that return one.
+        statements: those that have one in them, by their ids.
+    """
+
+    adapter: ModelClass
+    marked: set[int]
+    held: dict[int, set[str]] = field(default_factory=dict)
+    attributes: set[str] = field(default_factory=set)
+    returning: set[int] = field(default_factory=set)
+    statements: dict[int, ast.stmt] = field(default_factory=dict)
+
+    def size(self) -> int:
+        """Return how much is reached, which only grows."""
+        names_held = sum(map(len, self.held.values()))
+        return names_held + len(self.attributes) + len(self.returning) + len(self.statements)
+
+    def propagate(self, function: Function) -> None:
+        """Add what the statements of a function that hold a value assign, pass on and return."""
+        local = self.held.setdefault(id(function.node), set())
+        for statement in (node for node in function.nodes if isinstance(node, ast.stmt) and _is_simple(node)):
+            if self._is_in(function, statement):
+                self.statements[id(statement)] = statement
+                if self._is_in(function, statement, of_model=False):
+                    self._assign(function, statement)
+                for call in (node for node in _parts(statement) if isinstance(node, ast.Call)):
+                    self._pass_on(function, call)
+        loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
+        for loop in loops:
+            local |= names(loop.target) if self._is_in(function, loop.iter, of_model=False) else set()
+
+    def _assign(self, function: Function, statement: ast.stmt) -> None:
+        if isinstance(statement, ast.Return):
+            self.returning.add(id(function.node))
+        for target in targets(statement):
+            attribute = self_attribute(target)
+            if attribute is not None:
+                self.attributes.add(attribute)
+            else:
+                self.held[id(function.node)] |= names(target)
+
+    def _pass_on(self, function: Function, call: ast.Call) -> None:
+        other = self.adapter.callee(function, call)
+        if other is not None:
+            given = zip(parameters(other.node), call.args, strict=False)
+            reached = {name for name, argument in given if self._is_in(function, argument)}
+            self.held.setdefault(id(other.node), set()).update(reached)
+
+    def _is_in(self, function: Function, node: ast.AST, *, of_model: bool = True) -> bool:
+        """Return whether a value is in an expression; `of_model`: also as an argument of another package's function."""
+        ends = functools.partial(_is_foreign, self.adapter, function)
+        return any(self._is_one(function, part) for part in (_parts(node) if of_model else _parts(node, ends)))
+
+    def _is_one(self, function: Function, node: ast.AST) -> bool:
+        if id(node) in self.marked or _is_held(node, self.held[id(function.node)]):
+            return True
+        if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load):
+            return self_attribute(node) in self.attributes
+        other = self.adapter.callee(function, node) if isinstance(node, ast.Call) else None
+        return other is not None and id(other.node) in self.returning
+
+
 def _parts(node: ast.AST, ends_at: Callable[[ast.Call], bool] = lambda _: False) -> Iterator[ast.AST]:
     """Yield a node and what is below it, without the places of subscripts, which are no values.
 
@@ -146,6 +230,11 @@ def _parts(node: ast.AST, ends_at: Callable[[ast.Call], bool] = lambda _: False)
             waiting.append(one.value)
         elif not (isinstance(one, ast.Call) and ends_at(one)):
             waiting += ast.iter_child_nodes(one)
+
+
+def _is_foreign(adapter: ModelClass, function: Function, call: ast.Call) -> bool:
+    """Tell whether a call is one of another package, whose result is its own, such as a model's answer."""
+    return adapter.callee(function, call) is None and not _is_array_call(call)
 
 
 def _is_array_call(call: ast.Call) -> bool:
@@ -173,10 +262,23 @@ def _assignments(function: Function) -> dict[str, list[ast.expr]]:
     return made
 
 
+def _bound(target: ast.expr, iterated: ast.expr) -> Iterator[tuple[str, ast.expr]]:
+    """Yield the names of a loop with what each goes through: of `zip` and `enumerate` its own part."""
+    called_name = dotted(iterated.func) if isinstance(iterated, ast.Call) else ""
+    parts = iterated.args if isinstance(iterated, ast.Call) else []
+    if isinstance(target, ast.Tuple) and called_name == "zip" and len(parts) == len(target.elts):
+        for one, part in zip(target.elts, parts, strict=True):
+            yield from ((name, part) for name in names(one))
+    elif isinstance(target, ast.Tuple) and called_name == "enumerate" and len(target.elts) == 2 and parts:
+        yield from _bound(target.elts[1], parts[0])
+    else:
+        yield from ((name, iterated) for name in names(target))
+
+
 def _assigned(function: Function) -> Iterator[tuple[str, ast.expr]]:
     loops: list[ast.For | ast.comprehension] = [*function.of(ast.For), *function.of(ast.comprehension)]
     for loop in loops:
-        yield from ((name, loop.iter) for name in names(loop.target))
+        yield from _bound(loop.target, loop.iter)
     set_by: list[ast.Assign | ast.AnnAssign | ast.AugAssign] = [*function.of(ast.Assign), *function.of(ast.AnnAssign)]
     for node in [*set_by, *function.of(ast.AugAssign)]:
         for target in targets(node) if node.value is not None else ():
