@@ -18,6 +18,8 @@ from xpl_cli.audit.static.syntax import called, constant, key_read, last, target
 
 _ONE, _MANY = sdk.Obs.INSTRUCTION, sdk.Obs.INSTRUCTIONS
 _SPOKEN: Final = re.compile(r"(?:^|_)(?:lang|language|prompts?|instructions?)(?:_|$)", re.IGNORECASE)
+_LANGUAGE: Final = re.compile(r"embed|encode|token|lang|text|clip|bert|t5|sentence", re.IGNORECASE)
+"""Names of functions that make an input of a text."""
 _READS_BOTH: Final = "get_instruction"
 _WORDS: Final = 4
 
@@ -28,7 +30,8 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Looks at which of `instruction` and `instructions` the functions reached from `update_obs` and `get_action` read. It
-    reports an adapter that reads one spelling only, and one that reads neither and follows a sentence from its code. It
+    reports an adapter that reads one spelling only, and one that reads neither and follows a sentence from its code, or
+    the name of the task in its configuration. It
     warns if a policy with another language input reads neither, since its weights may know one task only, and if the
     code has a whole sentence, or the name of the task, as a fallback for the instruction. Not reported: adapters that
     pass the whole observation on to another package.
@@ -57,6 +60,18 @@ def instruction_unread(source: Source) -> Iterator[Finding]:
     sentences = list(_sentences(source, adapter, is_unread=is_unread))
     yield from sentences
     yield from _names_of_tasks(source, functions)
+    followed = _followed_task(adapter) if is_unread and not sentences else None
+    if followed is not None:
+        function, call = followed
+        yield Finding(
+            "the policy never reads the instruction of an observation: it follows the name of the task in its "
+            "configuration, whatever an environment says",
+            **source.at(function.file, call),
+            expected=f"`{_ONE}` of the observation",
+            got=ast.unparse(call)[:80],
+            fix=Fix("advice", "read it with xpl.observation.get_instruction(obs, required=True)"),
+        )
+        return
     if may_be_read or (is_unread and sentences):
         return
     read = [(function, node) for function in functions for node in _reads(function)]
@@ -97,6 +112,17 @@ def _reads(function: Function) -> Iterator[ast.expr]:
     for loop in loops:
         if {_ONE, _MANY} & texts(loop.iter):
             yield loop.iter
+
+
+def _followed_task(adapter: ModelClass) -> tuple[Function, ast.Call] | None:
+    """Return where the name of the task, from the configuration, is made an input of language."""
+    reads = {id(setting.read.node) for setting in adapter.settings if setting.read.key == sdk.Deploy.TASK_NAME}
+    for function in adapter.reach(*adapter.methods):
+        for call in function.of(ast.Call):
+            is_language = _LANGUAGE.search(called(call)) is not None
+            if is_language and any(id(child) in reads for argument in call.args for child in ast.walk(argument)):
+                return function, call
+    return None
 
 
 def _names_of_tasks(source: Source, functions: list[Function]) -> Iterator[Finding]:

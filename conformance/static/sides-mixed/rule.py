@@ -9,6 +9,7 @@ from typing import Final
 
 from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.static.manifests import location_in
 from xpl_cli.audit.static.model_class import ACTING, OBSERVING, ModelClass
 from xpl_cli.audit.static.source import Source
 from xpl_cli.audit.static.syntax import targets
@@ -23,8 +24,9 @@ def sides_mixed(source: Source) -> Iterator[Finding]:
     """What is called left is filled with what is called right, or the other way round.
 
     ## What it does
-    Compares, in model.py and in what observations and actions pass through, the names of entries, variables and
-    arguments with the names that their values are made of: `left` on one side and only `right` on the other.
+    Compares, in deploy.yml, in model.py and in what observations and actions pass through, the names of entries,
+    variables and arguments with the names that their values are made of: `left` on one side and only `right` on the
+    other.
 
     ## Why it matters
     It is the mistake of a copied line: one wrist camera is shown twice and the other never, or an arm gets the other
@@ -45,6 +47,16 @@ def sides_mixed(source: Source) -> Iterator[Finding]:
     places: list[tuple[str, ast.AST]] = [(function.file, node) for function in functions for node in function.nodes]
     inside = {id(node) for _, node in places}
     places += [(sdk.File.MODEL_PY, node) for node in source.nodes(sdk.File.MODEL_PY) if id(node) not in inside]
+    for path, text in _configured(source.deploy):
+        side, other = _side(str(path[-1])), _side(text)
+        if side and other and side != other:
+            yield Finding(
+                f"what is called {side} is filled with what is called {other}",
+                **location_in(source, sdk.File.DEPLOY_YML, path),
+                expected=side,
+                got=text[:80],
+                fix=Fix("advice", "name the one of the same side"),
+            )
     reported: set[tuple[str, int]] = set()
     for file, node in places:
         for name, value in _pairs(node):
@@ -60,6 +72,15 @@ def sides_mixed(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(value)[:80],
                     fix=Fix("advice", "take it from the same side, or say in a name that the sides are swapped"),
                 )
+
+
+def _configured(entry: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Yield the texts of a configuration with their places."""
+    if isinstance(entry, dict):
+        for key, value in entry.items():
+            yield from _configured(value, (*path, str(key)))
+    elif isinstance(entry, str) and path:
+        yield path, entry
 
 
 def _pairs(node: ast.AST) -> Iterator[tuple[ast.AST | str, ast.expr]]:
