@@ -9,6 +9,9 @@ import contextlib
 import functools
 import hashlib
 import inspect
+import random
+import sys
+import zlib
 from collections import deque
 from collections.abc import Iterator
 from types import ModuleType
@@ -20,12 +23,13 @@ from xpl import _spec as spec
 from xpl.nested import ValuePath, format_path, leaves
 from xpl.worker.copies import copy_value
 
-CHANGED, SHARED, SWALLOWED = "changed", "shared", "swallowed"
+CHANGED, SHARED, SWALLOWED, DREW = "changed", "shared", "swallowed", "drew"
 """Kinds of notes."""
 NOTES, BREAK_RESET = "watched_notes", "watched_break_reset"
 """Additional operations of a watched model."""
 _SHOWING = (spec.Method.UPDATE_OBS, spec.Method.UPDATE_OBS_BATCH, spec.Method.INFER)
 _WATCHED = (*_SHOWING, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
+_ACTING = (spec.Method.INFER, spec.Method.GET_ACTION, spec.Method.GET_ACTION_BATCH)
 _REMEMBERED = 8
 """Number of the newest observations that are checked after every operation: a model may still read them."""
 _PARTS = (spec.Method.RESET, "clear")
@@ -85,9 +89,13 @@ class WatchedModel:
             self._last = (name, copy_value(arguments[0]))
             observations = arguments[0] if isinstance(arguments[0], list) else [arguments[0]]
             self._watched.extend(map(_WatchedObservation, observations))
+        before = _generators()
         try:
             result = operation(*arguments)
         finally:
+            for generator, state in _generators().items() if name in _ACTING else ():
+                if before.get(generator, state) != state:
+                    self._note(DREW, name, generator)
             for seen in self._watched:
                 for changed in seen.changes():
                     self._note(CHANGED, name, changed)
@@ -102,6 +110,17 @@ class WatchedModel:
         note = {"what": what, "method": method, "key": key, **more}
         if note not in self._notes:
             self._notes.append(note)
+
+
+def _generators() -> dict[str, int]:
+    """Return fingerprints of the global generators' states, by library; those of libraries that are imported."""
+    states = {"random": repr(random.getstate()).encode()}
+    state = np.random.get_state(legacy=False)  # noqa: NPY002 - what adapters draw from
+    states["numpy"] = repr((state["state"]["key"].tobytes(), state["state"]["pos"], state["gauss"])).encode()
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        states["torch"] = torch.get_rng_state().numpy().tobytes()
+    return {name: zlib.crc32(state) for name, state in states.items()}
 
 
 class _WatchedObservation:

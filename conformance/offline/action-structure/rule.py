@@ -44,10 +44,12 @@ def action_structure(motions: MotionEpisodes, profile: ServedProfile, probe: Pro
         too = [f"{other.action_type} for {other.embodiment.name}" for other, _ in others]
         dims = motion.embodiment.dims(motion.action_type)
         is_of_mock = _is_of_mock(answer, profile, probe)
+        is_of_random = motions.is_random and _RANGE in problem
         why = ", which may come from the mock in place of the model: declare the shape of its output as `shadow`"
         yield blame(
             f"{motion.action_type} actions for {motion.embodiment.name} cannot be executed: {problem}"
             + (why if is_of_mock else "")
+            + (", which random weights may cause" if is_of_random else "")
             + (f"; likewise {', '.join(too)}" if too else ""),
             expected=", ".join(f"{key} ({dim},)" for key, dim in dims.items()),
             got=f"{answer.where}: {shapes(answer.chunk)}",
@@ -55,8 +57,12 @@ def action_structure(motions: MotionEpisodes, profile: ServedProfile, probe: Pro
                 "advice",
                 "return flat rows of the embodiment's dimension from predict and let the base class unpack them",
             ),
-            must=False if is_of_mock else None,
+            must=False if is_of_mock or is_of_random else None,
         )
+
+
+_RANGE = "must lie between"
+"""In what `xpl.action` says of a number that is out of its range."""
 
 
 def _is_of_mock(answer: MotionAnswer, profile: ServedProfile, probe: Probe) -> bool:

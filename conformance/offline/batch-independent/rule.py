@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, rule
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.compare import first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 
 
 @rule(code="XPL207", requirement="XPL-BAT-5", compares=True, tries="batches in other orders and sizes")
-def batch_independent(probe: Probe) -> Iterator[Finding]:
+def batch_independent(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """Environments of one batch influence each other.
 
     ## What it does
@@ -44,6 +45,7 @@ def batch_independent(probe: Probe) -> Iterator[Finding]:
         for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
             mismatch = probe.batch_difference(alone, batch[env : env + 1] if is_answer_list(batch) else batch)
             if mismatch is not None:
+                in_process_run.require_no_draws(probe)
                 yield blame(
                     f"environment {env} acts differently in a batch than alone, from step {step} on: state is "
                     "shared, and results depend on how many run at once",

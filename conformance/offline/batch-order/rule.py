@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.compare import (
     brief,
     describe_wrong_batch,
@@ -16,10 +17,11 @@ from xpl_cli.audit.served.compare import (
     same,
 )
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.recorded_client import Answer
 
 
 @rule(code="XPL203", requirement="XPL-BAT-1", compares=True, tries="batches in other orders and sizes")
-def batch_order(probe: Probe) -> Iterator[Finding]:
+def batch_order(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """A batch returns actions of other environments than the requested ones.
 
     ## What it does
@@ -62,6 +64,8 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
         answer = probe.batch_answer(batch, indices)
         mismatch = probe.batch_difference([alone[env] for env in indices], answer)
         if mismatch is not None:
+            if not _is_of_others(answer, alone, indices):
+                in_process_run.require_no_draws(probe)
             yield blame(
                 f"get_action_batch({indices}) {describe_wrong_batch(answer, alone, indices)}",
                 expected=f"the chunks of environments {indices}, in this order",
@@ -77,3 +81,10 @@ def batch_order(probe: Probe) -> Iterator[Finding]:
     alike = next((pair for pair in combinations(envs, 2) if same(*(alone[env] for env in pair))), None)
     if alike is not None:
         raise NotApplicable(f"environments {alike[0]} and {alike[1]} get the same actions: their order cannot be seen")
+
+
+def _is_of_others(answer: Answer, alone: Mapping[int, Answer], indices: Sequence[int]) -> bool:
+    """Tell whether a batch holds, exactly, what other environments than the requested ones get."""
+    chunks = answer if is_answer_list(answer) else []
+    answered = zip(chunks, indices, strict=False)
+    return any(same(chunk, alone[env]) for chunk, wanted in answered for env in alone if env != wanted)

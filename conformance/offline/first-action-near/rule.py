@@ -47,6 +47,8 @@ def first_action_near(motions: MotionEpisodes, parity: Parity) -> Iterator[Findi
             if excesses:
                 leap, own = _farthest(excesses), _golden_leap(parity, motion, motions.frequency)
                 is_foreign = own is not None and leap > _FOREIGN * own
+                if own is None:
+                    motions.require_trained()
                 yield blame(
                     f"the first {motion.action_type} action for {motion.embodiment.name} is farther from the observed "
                     f"pose than the robot moves in one step at {motions.frequency:g} Hz: it would leap"

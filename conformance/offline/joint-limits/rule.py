@@ -49,6 +49,7 @@ def joint_limits(motions: MotionEpisodes) -> Iterator[Finding]:
         within = list(_past(robot, motion.sound, 0.0))
         excesses = within or list(_past(robot, motion.sound_near_limits, moves))
         if excesses:
+            motions.require_trained()
             answer, index, excess = max(excesses, key=lambda entry: abs(entry[2].value - entry[2].limit))
             joints = ", ".join(dict.fromkeys(excess.what for _, _, excess in excesses))
             near = "" if within else " where they are near them"

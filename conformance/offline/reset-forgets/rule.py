@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotRun, rule
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.compare import brief, difference, first_step, is_answer_list
 from xpl_cli.audit.served.probe import Probe, blame
 from xpl_cli.audit.served.recorded_client import Answer, RecordedClient
 
 
 @rule(code="XPL208", requirement="XPL-EPI-1", compares=True, tries="resets", handler=spec.Method.RESET)
-def reset_forgets(probe: Probe) -> Iterator[Finding]:
+def reset_forgets(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """An episode depends on the previous one.
 
     ## What it does
@@ -42,14 +43,17 @@ def reset_forgets(probe: Probe) -> Iterator[Finding]:
     if not any(map(is_answer_list, expected)):
         raise NotRun(f"in environment 1 every get_action fails: {brief(expected[0])}")
     for group in _BEFORE:
-        found = _compared(probe, group, expected)
+        found = _compared(probe, in_process_run, group, expected)
         if found is not None:
             yield found
             return
 
 
 def _compared(
-    probe: Probe, group: Mapping[str, Callable[[Probe, RecordedClient], None]], expected: Sequence[Answer]
+    probe: Probe,
+    in_process_run: InProcessRun,
+    group: Mapping[str, Callable[[Probe, RecordedClient], None]],
+    expected: Sequence[Answer],
 ) -> Finding | None:
     """Return how an episode differs after one of several others, which are played on one server."""
     with probe.fresh_session() as policy:
@@ -60,6 +64,7 @@ def _compared(
                 mismatch = difference(*pair)
                 if mismatch is not None:
                     probe.require_repeatable_afresh()
+                    in_process_run.require_no_draws(probe)
                     return blame(
                         f"an episode depends on the previous one, {what}: state survives reset, and results "
                         "depend on the order of episodes",

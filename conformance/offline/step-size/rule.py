@@ -42,6 +42,7 @@ def step_size(motions: MotionEpisodes) -> Iterator[Finding]:
             for excess in jumps(motion.embodiment, before, after, motions.frequency)
         ]
         if excesses:
+            motions.require_trained()
             answer, index, excess = max(excesses, key=lambda entry: entry[2].value / entry[2].limit)
             yield blame(
                 f"{motion.action_type} chunks for {motion.embodiment.name} jump from one action to the next: at "

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from xpl import _spec as sdk
 from xpl.worker import watch
 from xpl_cli.audit.offline import inprocess
-from xpl_cli.audit.rules.model import NotRun
+from xpl_cli.audit.rules.model import NotApplicable, NotRun
 from xpl_cli.audit.served.transports import FORMS, decoded, encoded
 
 if TYPE_CHECKING:
@@ -59,6 +59,19 @@ class InProcessRun:
     def notes_of(self, what: str) -> list[ModelNote]:
         """Return the notes of one kind."""
         return [note for note in self.notes if note.kind == what]
+
+    def require_no_draws(self, probe: Probe) -> None:
+        """Discard a finding from runs that differ in how many numbers were drawn, or by whom.
+
+        Raises:
+            NotApplicable: if inference draws from a global generator that no episode seeds.
+        """
+        drawn = sorted({note.key for note in self.notes_of(watch.DREW)})
+        if drawn and not probe.repeats_in_place:
+            raise NotApplicable(
+                f"inference draws from the global generator of {' and '.join(drawn)}, which no episode seeds: what "
+                "differs may be these numbers"
+            )
 
 
 def run_in_process(probe: Probe) -> InProcessRun:

@@ -91,7 +91,17 @@ class MotionEpisodes:
 
     def __init__(self, probe: Probe) -> None:
         self._probe = probe
+        self.is_random = probe.has_tiny_weights
         self._scenario = environments.module("offline", "scenario")
+
+    def require_trained(self) -> None:
+        """Discard a finding about how far the policy moves the robot.
+
+        Raises:
+            NotApplicable: if its weights are tiny random ones.
+        """
+        if self.is_random:
+            raise NotApplicable("the weights are tiny random ones: where they move the robot says nothing")
 
     @property
     def frequency(self) -> float:
