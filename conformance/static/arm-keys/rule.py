@@ -53,6 +53,7 @@ def arm_keys(source: Source) -> Iterator[Finding]:
                 expected="keys without a prefix for a robot with one arm",
                 got=ast.unparse(key),
                 fix=Fix("advice", "take prefixes from the embodiment: ('',) for one arm; xpl.action.unpack does"),
+                must=False,  # of public adapters' findings, too few were right (docs/calibration.md)
             )
 
 

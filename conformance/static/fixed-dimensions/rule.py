@@ -174,6 +174,6 @@ def _layout(function: Function) -> Iterator[tuple[ast.AST, str]]:
                 if len(slices) >= _FEWEST_CUTS and edges <= bounds and length in edges and len(edges) >= 4:
                     yield (
                         slices[0],
-                        f"vectors are split as those of {name}: another robot's joints get each other's values",
+                        f"vectors are split as those of {name}: another robot's are refused, or mixed up",
                     )
                     break

@@ -58,6 +58,7 @@ def normalisation_skipped(source: Source) -> Iterator[Finding]:
                 expected="an error if statistics are missing",
                 got=ast.unparse(node).split("\n")[0],
                 fix=Fix("advice", f"raise an error if {statistics} {why}; a policy without normalisation declares it"),
+                must=False,  # of public adapters' findings, too few were right (docs/calibration.md)
             )
 
 

@@ -85,7 +85,7 @@ def _untrained(source: Source, names: list[str]) -> Iterator[Finding]:
         if any(re.search(rf"\bbash\b.*{re.escape(name)}", line) for line in lines):
             why = f"{sdk.File.README_MD} tells to run it"
         elif len(missing) < len(names):
-            why = "the other script of training is there, so that half of what made the weights cannot be repeated"
+            why = "the other script of training is there, and README.md does not say what takes its place"
         elif not _EVALUATES_ONLY.search(readme):
             why = f"{sdk.File.README_MD} does not say that the adapter only evaluates"
         else:

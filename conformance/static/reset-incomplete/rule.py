@@ -55,7 +55,7 @@ def reset_incomplete(source: Source) -> Iterator[Finding]:
     where = source.start(*((reset.file, reset.node) if reset is not None else (adapter.file, adapter.node)))
     yield Finding(
         f"{RESET} leaves {' and '.join(f'self.{name}' for name in left)} as the previous episode set it: the "
-        "next episode starts with its observation or plan",
+        "next episode may start with its observation or plan",
         **where,
         expected=f"{RESET} sets it anew",
         got=f"{first.function.name} sets it in line {first.line}",

@@ -151,7 +151,7 @@ def _unseeded(source: Source, adapter: ModelClass) -> Iterator[Finding]:
     drawn_in = None if adapter.is_sdk or adapter.config_escapes else next(draws(source), None)
     if drawn_in is not None:
         yield Finding(
-            f"no code of the adapter reads the seed, and what it wraps samples ({drawn_in.text}): no run repeats",
+            f"no code of the adapter reads the seed, and what it wraps samples (as {drawn_in.text}): no run repeats",
             path=drawn_in.file,
             line=drawn_in.line,
             column=1,
