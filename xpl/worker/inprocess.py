@@ -19,7 +19,7 @@ from typing import Any, Callable, NoReturn
 
 from xpl.manifest import Manifest
 from xpl.policy import Policy
-from xpl.worker import surroundings
+from xpl.worker import generators, surroundings
 from xpl.worker.copies import copy_value
 from xpl.worker.loading import load_model_class
 from xpl.worker.missing_requirements import ShadowError
@@ -31,7 +31,8 @@ def load(order: TaskRequest) -> Any:
 
     Args:
         order: `policy_dir`, `config` and `manifest`; `shadow`: without the model (`xpl.worker.shadow`);
-            `watch`: record what it does to its observations (`xpl.worker.watch`).
+            `watch`: record what it does to its observations (`xpl.worker.watch`);
+            `seed_at_reset`: seed of the global generators at each reset, None to leave them alone.
     """
     policy_dir, config, manifest = Path(order["policy_dir"]), order["config"], order["manifest"]
     surroundings.prepare(policy_dir, config, (manifest or {}).get("environment"))
@@ -43,11 +44,29 @@ def load(order: TaskRequest) -> Any:
     else:
         model_class = load_model_class(policy_dir, class_name)
     model = model_class({**config, "manifest": manifest} if issubclass(model_class, Policy) else dict(config))
+    if order.get("seed_at_reset") is not None:
+        model = _SeededModel(model, order["seed_at_reset"])
     if not order.get("watch"):
         return model
     from xpl.worker.watch import WatchedModel
 
     return WatchedModel(model)
+
+
+class _SeededModel:
+    """A model that seeds the global generators before each reset."""
+
+    def __init__(self, model: Any, seed: int) -> None:
+        self._model = model
+        self._seed = seed
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._model, name)
+
+    def reset(self) -> Any:
+        """Seed, and reset the model."""
+        generators.seed(self._seed)
+        return self._model.reset()
 
 
 def play(model: Any, script: Sequence[Sequence[Any]]) -> Iterator[bytes]:

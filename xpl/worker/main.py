@@ -30,7 +30,7 @@ from xpl import _spec as spec
 from xpl.manifest import Manifest
 from xpl.process import child, fork_server
 from xpl.wire import error_text, packed
-from xpl.worker import surroundings
+from xpl.worker import generators, surroundings
 from xpl.worker.loading import check_shareable, load_model_class
 
 if TYPE_CHECKING:
@@ -122,6 +122,7 @@ class AdapterWorker:
             config["manifest"] = manifest.data
         if manifest.serving.shared:
             check_shareable(model_class, (*spec.HOOKS, *manifest.methods))
+        self._seed_at_reset = message.get("seed_at_reset")
         self._model = model_class(config)
         return self._offer(manifest)
 
@@ -226,6 +227,8 @@ class AdapterWorker:
             return self._infer(argument)
         if method not in self._methods:
             return None  # an optional method: `_argument` refuses any other
+        if method == spec.Method.RESET and self._seed_at_reset is not None:
+            generators.seed(self._seed_at_reset)
         operation = getattr(self._model, method)
         if argument is None or method in (spec.Method.RESET, spec.Method.GET_ACTION):
             return operation()

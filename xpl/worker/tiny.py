@@ -18,8 +18,6 @@ With `may_fail`, a model that fails on its checkpoint is measured no further: an
 
 from __future__ import annotations
 
-import importlib.util
-import random
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -30,7 +28,7 @@ import numpy as np
 from xpl import ecosystem, hub, variables
 from xpl.episodes import EpisodeCounter
 from xpl.policy import Policy
-from xpl.worker import surroundings
+from xpl.worker import generators, surroundings
 from xpl.worker.copies import copy_value
 from xpl.worker.inprocess import load
 from xpl.worker.loading import LoadError, load_function
@@ -99,7 +97,7 @@ def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Map
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    _seed(request["seed"])
+    generators.seed(request["seed"])
     asked: dict[str, None] = {}
 
     def gain(name: str) -> float:
@@ -114,16 +112,6 @@ def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Map
             f"the recipe wrote {size} bytes; expected 1 to {request['most_bytes']}: shrink the configuration"
         )
     return list(asked)
-
-
-def _seed(seed: int) -> None:
-    """Seed Python's, numpy's and torch's global generators."""
-    random.seed(seed)
-    np.random.seed(seed)  # noqa: NPY002 - libraries draw from the global one
-    if importlib.util.find_spec("torch") is not None:
-        import torch
-
-        torch.manual_seed(seed)
 
 
 def _size(folder: str | Path) -> int:
@@ -157,7 +145,7 @@ def _answer(model: Any, episode: Sequence[Any]) -> np.ndarray:
     if isinstance(model, Policy):
         model._episodes = EpisodeCounter()  # noqa: SLF001 - its seeds are those of the first episode again
     else:  # which may draw from global generators
-        _seed(0)
+        generators.seed(0)
     model.reset()
     for observation in episode:
         model.update_obs(copy_value(observation))

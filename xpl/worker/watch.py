@@ -9,9 +9,6 @@ import contextlib
 import functools
 import hashlib
 import inspect
-import random
-import sys
-import zlib
 from collections import deque
 from collections.abc import Iterator
 from types import ModuleType
@@ -21,6 +18,7 @@ import numpy as np
 
 from xpl import _spec as spec
 from xpl.nested import ValuePath, format_path, leaves
+from xpl.worker import generators
 from xpl.worker.copies import copy_value
 
 CHANGED, SHARED, SWALLOWED, DREW = "changed", "shared", "swallowed", "drew"
@@ -89,11 +87,11 @@ class WatchedModel:
             self._last = (name, copy_value(arguments[0]))
             observations = arguments[0] if isinstance(arguments[0], list) else [arguments[0]]
             self._watched.extend(map(_WatchedObservation, observations))
-        before = _generators()
+        before = generators.fingerprints()
         try:
             result = operation(*arguments)
         finally:
-            for generator, state in _generators().items() if name in _ACTING else ():
+            for generator, state in generators.fingerprints().items() if name in _ACTING else ():
                 if before.get(generator, state) != state:
                     self._note(DREW, name, generator)
             for seen in self._watched:
@@ -110,17 +108,6 @@ class WatchedModel:
         note = {"what": what, "method": method, "key": key, **more}
         if note not in self._notes:
             self._notes.append(note)
-
-
-def _generators() -> dict[str, int]:
-    """Return fingerprints of the global generators' states, by library; those of libraries that are imported."""
-    states = {"random": repr(random.getstate()).encode()}
-    state = np.random.get_state(legacy=False)  # noqa: NPY002 - what adapters draw from
-    states["numpy"] = repr((state["state"]["key"].tobytes(), state["state"]["pos"], state["gauss"])).encode()
-    torch = sys.modules.get("torch")
-    if torch is not None:
-        states["torch"] = torch.get_rng_state().numpy().tobytes()
-    return {name: zlib.crc32(state) for name, state in states.items()}
 
 
 class _WatchedObservation:

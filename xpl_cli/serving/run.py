@@ -78,6 +78,7 @@ class ServeOptions:
         renew: load the model again for every client.
         also: further wires, each at a port of its own: `NAME` or `NAME:PORT`.
         locates_errors: tell clients at which lines of its own files the adapter raised; for an audit's own servers.
+        seed_at_reset: seed of the global generators of random numbers at each reset; for an audit's own servers.
     """
 
     python: str | None = None
@@ -102,6 +103,7 @@ class ServeOptions:
     renew: bool = False
     also: Sequence[str] = ()
     locates_errors: bool = False
+    seed_at_reset: int | None = None
 
 
 def run_server(package: Package, overrides: Config, options: ServeOptions) -> None:
@@ -376,7 +378,15 @@ async def _load(run: _ServerRun, front_end: FrontEnd) -> ModelLoadError | None:
     limit = run.config[spec.Deploy.MAX_CONNECT_SECONDS] or None  # clients wait no longer than that for a connection
     package = run.package
     loads = [
-        asyncio.create_task(worker.load(package.path, run.config, package.manifest, shadow=run.options.shadow))
+        asyncio.create_task(
+            worker.load(
+                package.path,
+                run.config,
+                package.manifest,
+                shadow=run.options.shadow,
+                seed_at_reset=run.options.seed_at_reset,
+            )
+        )
         for worker in front_end.workers.values()
     ]
     with progress() as reporter:

@@ -45,7 +45,7 @@ def batch_independent(probe: Probe, in_process_run: InProcessRun) -> Iterator[Fi
         for step, (alone, batch) in enumerate(zip(by_itself, together, strict=True)):
             mismatch = probe.batch_difference(alone, batch[env : env + 1] if is_answer_list(batch) else batch)
             if mismatch is not None:
-                in_process_run.require_no_draws(probe)
+                in_process_run.require_no_draws(probe, of_batches=True)
                 yield blame(
                     f"environment {env} acts differently in a batch than alone, from step {step} on: state is "
                     "shared, and results depend on how many run at once",

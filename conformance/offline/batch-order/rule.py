@@ -65,7 +65,7 @@ def batch_order(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]
         mismatch = probe.batch_difference([alone[env] for env in indices], answer)
         if mismatch is not None:
             if not _is_of_others(answer, alone, indices):
-                in_process_run.require_no_draws(probe)
+                in_process_run.require_no_draws(probe, of_batches=True)
             yield blame(
                 f"get_action_batch({indices}) {describe_wrong_batch(answer, alone, indices)}",
                 expected=f"the chunks of environments {indices}, in this order",

@@ -62,10 +62,11 @@ class Configurations:
 
     @property
     def own(self) -> dict[str, object]:
-        """Keys of deploy.yml that are the adapter's own, with their values."""
+        """Keys of deploy.yml that are the adapter's own, with their values; without those that this run overrides."""
         deploy = self.probe.package.deploy
         standard_keys = _STANDARD.union(sdk.CHECKPOINT_KEYS, *sdk.CONFIG_ALIASES.values())
-        return {key: value for key, value in deploy.items() if key not in standard_keys}
+        left_out = {*standard_keys, *self.probe.options.overrides}
+        return {key: value for key, value in deploy.items() if key not in left_out}
 
     def own_keys(self) -> dict[str, object]:
         """Return the adapter's own keys of deploy.yml.
@@ -78,18 +79,18 @@ class Configurations:
         return self.own
 
     def with_seed(self, seed: int, run: int = 0) -> EpisodeResult:
-        """Return the episode with a seed; another run is another process."""
-        return self.episode({sdk.Deploy.SEED: seed}, run=run)
+        """Return the episode with a seed, on generators that only the adapter seeds; another run is another process."""
+        return self.episode({sdk.Deploy.SEED: seed}, run=run, is_seeded=False)
 
     @property
     def usual(self) -> EpisodeResult:
         """The episode with the usual seed and the values of deploy.yml."""
-        return self.with_seed(USUAL_SEED)
+        return self.episode({sdk.Deploy.SEED: USUAL_SEED})
 
     @property
     def repeats(self) -> bool:
         """Whether a second process acts as the first."""
-        return self.usual.difference(self.with_seed(USUAL_SEED, run=1)) is None
+        return self.usual.difference(self.episode({sdk.Deploy.SEED: USUAL_SEED}, run=1)) is None
 
     def require_usual(self) -> None:
         """Stop a rule that compares configurations if the usual one is not served.
@@ -126,17 +127,20 @@ class Configurations:
         with tempfile.TemporaryDirectory(prefix="xpl-elsewhere-") as folder:
             return self.episode({sdk.Deploy.SEED: USUAL_SEED}, ("--chdir", os.fspath(folder)))
 
-    def episode(self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0) -> EpisodeResult:
+    def episode(
+        self, overrides: dict[str, object], flags: Sequence[str] = (), run: int = 0, *, is_seeded: bool = True
+    ) -> EpisodeResult:
         """Return the episode under other values of deploy.yml and options of `xpl serve`; it runs once."""
-        key = _key(overrides, flags, run)
+        is_seeded = is_seeded and self.probe.seed_at_reset is not None
+        key = _key(overrides, (*flags, "seeded") if is_seeded else flags, run)
         if key not in self._played:
-            self._played[key] = self._run_episode(overrides, flags)
+            self._played[key] = self._run_episode(overrides, flags, is_seeded=is_seeded)
         return self._played[key]
 
-    def _run_episode(self, overrides: dict[str, object], flags: Sequence[str]) -> EpisodeResult:
+    def _run_episode(self, overrides: dict[str, object], flags: Sequence[str], *, is_seeded: bool) -> EpisodeResult:
         try:
             with (
-                self.probe.fresh_server(overrides, flags) as server,
+                self.probe.fresh_server(overrides, flags, is_seeded=is_seeded) as server,
                 self.probe.connected(server.url) as policy,
             ):
                 return EpisodeResult(tuple(self.probe.episode(policy, steps=_STEPS)))

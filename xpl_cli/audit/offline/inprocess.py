@@ -56,6 +56,7 @@ def load_request(probe: Probe) -> dict[str, object]:
         "config": probe.config,
         "manifest": package.manifest.data,
         "shadow": probe.choice.is_shadow,
+        "seed_at_reset": probe.seed_at_reset,
     }
 
 

@@ -113,10 +113,12 @@ def shapes(chunk: object) -> str:
 
 
 def first_step(chunk: object) -> dict[str, list[float]]:
-    """Return the first action of a chunk as short lists, for evidence."""
+    """Return the first action of a chunk as short lists, for evidence; of values that are no numbers nothing."""
     if not isinstance(chunk, (list, tuple)) or not chunk or not isinstance(chunk[0], dict):
         return {}
-    return {key: [round(float(item), 4) for item in np.ravel(value)] for key, value in chunk[0].items()}
+    arrays = {key: np.ravel(np.asarray(value)) for key, value in chunk[0].items() if not isinstance(value, (dict, str))}
+    numbers = {key: array for key, array in arrays.items() if array.dtype.kind in "biuf"}
+    return {key: [round(float(item), 4) for item in array] for key, array in numbers.items()}
 
 
 def brief(value: object) -> str:

@@ -192,7 +192,23 @@ class Probe(Servers):
 
     @cached_property
     def repeats_in_place(self) -> bool:
-        """Whether one server gives the same answers in two episodes."""
+        """Whether one server gives the same answers in two episodes.
+
+        An adapter without a manifest that does not may draw from global generators, which its own code never seeds.
+        Then each reset of a server seeds them from now on, as far as that makes its answers the same: rules about
+        batches, resets and inputs could compare nothing otherwise. The rule `seed-repeats` judges it without.
+        """
+        if self._repeats_on_one_server():
+            return True
+        if self.package.manifest or self.choice.is_shadow:
+            return False
+        self._seed_at_reset(0)
+        if self._repeats_on_one_server():
+            return True
+        self._seed_at_reset(None)
+        return False
+
+    def _repeats_on_one_server(self) -> bool:
         with self.session() as policy:
             return same(self.episode(policy), self.episode(policy))
 

@@ -49,6 +49,7 @@ class Servers(ABC):
         config: its configuration.
         recorder: hashes the answers of every server.
         presence: the files that the adapter had.
+        seed_at_reset: seed of the global generators at each reset of servers that start from now on.
         choice: what is served, the model or its shadow; final when the server runs.
     """
 
@@ -59,12 +60,14 @@ class Servers(ABC):
         self.recorder = AnswerRecorder(options.time_limit)
         self.choice = serving_choice.first_choice(options)
         self._open = contextlib.ExitStack()
+        self._server_life = self._open.enter_context(contextlib.ExitStack())
         self._server: RunningServer | None = None
         self._problem: ServerStartError | None = None
         self._ahead: ServersAhead | None = None
         self._fork_servers: dict[str | None, AdapterForkServer | None] = {}
         self._hangs = HangCounter()
         self.presence = PackageFiles.of(target.path)
+        self.seed_at_reset: int | None = None
 
     @classmethod
     @contextlib.contextmanager
@@ -103,7 +106,7 @@ class Servers(ABC):
             raise self._problem
         while True:
             try:
-                return self._open.enter_context(self._serve_tried())
+                return self._server_life.enter_context(self._serve_tried())
             except ServerStartError as error:
                 next_choice = serving_choice.next_choice(self.choice, error, self.options)
                 if next_choice is None:
@@ -111,6 +114,12 @@ class Servers(ABC):
                     self.recorder.note(error.reason, "", error.raised_at)
                     raise
                 self.choice = next_choice
+
+    def _seed_at_reset(self, seed: int | None) -> None:
+        """Replace the shared server by one that seeds the global generators at each reset, or leaves them alone."""
+        self.seed_at_reset = seed
+        self._server_life.close()
+        self._server = None
 
     @contextlib.contextmanager
     def connected(self, url: str, **client_options: Any) -> Iterator[RecordedClient]:
@@ -213,13 +222,17 @@ class Servers(ABC):
         return self._problem
 
     @contextlib.contextmanager
-    def fresh_server(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+    def fresh_server(
+        self, overrides: Mapping[str, object], flags: Sequence[str] = (), *, is_seeded: bool = True
+    ) -> Iterator[RunningServer]:
         """Start a server of its own, in a new process, with other values of deploy.yml and options of `xpl serve`.
+
+        Without `is_seeded` its generators are left to the adapter (`seed_at_reset`).
 
         Raises:
             ServerStartError: if it does not start.
         """
-        with self._serve({**self.options.overrides, **overrides}, flags) as server:
+        with self._serve({**self.options.overrides, **overrides}, flags, is_seeded=is_seeded) as server:
             yield server
 
     @contextlib.contextmanager
@@ -246,13 +259,15 @@ class Servers(ABC):
         """Return an observation for a first request."""
 
     @contextlib.contextmanager
-    def _serve(self, overrides: Mapping[str, object], flags: Sequence[str] = ()) -> Iterator[RunningServer]:
+    def _serve(
+        self, overrides: Mapping[str, object], flags: Sequence[str] = (), *, is_seeded: bool = True
+    ) -> Iterator[RunningServer]:
         self.options.time_limit.check()
         self._hangs.check()
         if self.presence.loss is not None:
             raise NotRun(self.presence.loss)
-        is_usual = not flags and self.package.config(overrides) == self.config
-        started = self._usual_server() if is_usual else self._running(overrides, flags)
+        is_usual = is_seeded and not flags and self.package.config(overrides) == self.config
+        started = self._usual_server() if is_usual else self._running(overrides, flags, is_seeded=is_seeded)
         try:
             with started as server:
                 try:
@@ -270,8 +285,11 @@ class Servers(ABC):
         on_start: Callable[[ForkedServer], object] | None = None,
         *,
         is_forked: bool = True,
+        is_seeded: bool = True,
     ) -> AbstractContextManager[RunningServer]:
         """Return a server that starts with a `with` block; its worker may be forked from one with all libraries."""
+        if is_seeded and self.seed_at_reset is not None:
+            flags = (*flags, "--seed-at-reset", str(self.seed_at_reset))
         return running_server(
             self.package.path,
             {**overrides, **bounded_timeouts({**self.config, **overrides})},

@@ -109,14 +109,25 @@ class ModelWorker:
         self._batch_timer: asyncio.TimerHandle | None = None
         process.died.add_done_callback(lambda died: self.fail(died.result()))
 
-    async def load(self, policy_dir: Path, config: Config, manifest: Manifest, *, shadow: bool = False) -> None:
+    async def load(
+        self,
+        policy_dir: Path,
+        config: Config,
+        manifest: Manifest,
+        *,
+        shadow: bool = False,
+        seed_at_reset: int | None = None,
+    ) -> None:
         """Load the adapter, with `shadow` without its model (`xpl.worker.shadow`).
+
+        With `seed_at_reset` each reset seeds the global generators; for an audit.
 
         Raises:
             LoadError: if it cannot be loaded.
         """
         request = {"policy_dir": str(policy_dir), "config": dict(config), "manifest": dict(manifest.data)}
         self._loading = {"op": "load", **request, **({"shadow": True} if shadow else {})}
+        self._loading |= {} if seed_at_reset is None else {"seed_at_reset": seed_at_reset}
         self._busy, self._started = True, time.monotonic()
         try:
             offered = parse_result(await self.process.request(**self._loading))

@@ -1,0 +1,33 @@
+"""The global generators of random numbers, from which adapters draw unless they make their own."""
+
+from __future__ import annotations
+
+import importlib.util
+import random
+import sys
+import zlib
+
+import numpy as np
+
+
+def seed(value: int) -> None:
+    """Seed Python's, numpy's and torch's global generators; torch is imported if it is installed."""
+    random.seed(value)
+    np.random.seed(value)  # noqa: NPY002 - libraries draw from the global one
+    if importlib.util.find_spec("torch") is not None:
+        import torch
+
+        torch.manual_seed(value)
+
+
+def fingerprints() -> dict[str, int]:
+    """Return fingerprints of the generators' states, by library; those of libraries that are imported."""
+    state = np.random.get_state(legacy=False)  # noqa: NPY002 - what adapters draw from
+    states = {
+        "random": repr(random.getstate()).encode(),
+        "numpy": repr((state["state"]["key"].tobytes(), state["state"]["pos"], state["gauss"])).encode(),
+    }
+    torch = sys.modules.get("torch")
+    if torch is not None:
+        states["torch"] = torch.get_rng_state().numpy().tobytes()
+    return {name: zlib.crc32(value) for name, value in states.items()}
