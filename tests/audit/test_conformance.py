@@ -32,7 +32,7 @@ TASK = "lift_cube"
 """Task of the MuJoCo gate for fixtures; one is enough."""
 HEADINGS = ("What it does", "Why it matters", "Example", "Use instead", "Fix safety")
 HUNDREDS = {
-    "static": "1",
+    "static": "17",
     "offline": "2",
     "demonstrations": "2",
     "mujoco": "3",
@@ -80,7 +80,7 @@ def test_codes_and_slugs_are_unique() -> None:
 
 
 def test_codes_have_no_gaps_and_tell_the_folder() -> None:
-    """XPL1xx static, 2xx offline, 3xx MuJoCo, 4xx environments; 5xx audit, 6xx advice; from 1, a family from a ten.
+    """XPL1xx and 7xx static, 2xx offline, 3xx MuJoCo, 4xx environments; 5xx audit, 6xx advice; a family from a ten.
 
     A code that no rule has is that of a retired one.
     """
@@ -89,7 +89,7 @@ def test_codes_have_no_gaps_and_tell_the_folder() -> None:
         numbers = [int(code[4:]) for code in group]
         for before, number in itertools.pairwise([0, *numbers]):
             assert number == before + 1 or (number % 10 == 0 and number - before < 10), (hundred, number)
-    assert all(HUNDREDS[rule.folder.parent.name] == rule.code[3] for rule in RULES)
+    assert all(rule.code[3] in HUNDREDS[rule.folder.parent.name] for rule in RULES)
 
 
 @pytest.mark.parametrize("entry", registry.entries(), ids=lambda entry: entry.slug)

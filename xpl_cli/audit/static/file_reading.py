@@ -88,7 +88,7 @@ def resolve_inside(package: Path, name: str) -> str | None:
     Two names of one file give one result, so that a folder that links to itself is not counted twice.
     """
     inside = f"{package}{os.sep}"
-    path = inside + name
+    path = os.path.join(package, name)  # noqa: PTH118 - as below; an absolute name stays what it is
     try:
         if not os.path.isfile(path):  # noqa: PTH113 - most imports are of no file here, and a Path takes longer
             return None
