@@ -33,6 +33,7 @@ REQUIREMENTS = (
     "rich",
 )
 SETTINGS = {"checkpoint_path": "{folder}/checkpoints/tiny.pt"}
+VARIABLES = {"HF_HUB_CACHE": "{folder}/hub", "HF_HUB_OFFLINE": "1"}  # not beside the file that deploy.yml names
 CUDA_ON_CPU = True
 VLM, VISION = "Qwen/Qwen3-VL-4B-Instruct", "facebook/dinov3-vits16-pretrain-lvd1689m"
 WIDTH = 64
