@@ -44,8 +44,11 @@ def write(folder: Path, gain: Callable[[str], float], config: Mapping[str, Any])
         weights = policy.state_dict()
         for camera, name in CAMERAS.items():
             weights[f"obs_encoder.key_model_map.{camera}.conv1.weight"] *= gain(name)
-        kept = {name: few(weight) for name, weight in weights.items()}
-        saved = {"cfg": settings, "state_dicts": {f"arm{arm}_ema_model": kept}, "pickles": {}}
+        states = {
+            f"arm{arm}_ema_model": {name: few(weight) for name, weight in weights.items()},
+            f"arm{arm}_model": {name: few(weight) for name, weight in weights.items()},  # of other numbers
+        }
+        saved = {"cfg": settings, "state_dicts": states, "pickles": {}}
         torch.save(saved, folder / "checkpoints" / f"arm{arm}_latest.ckpt", pickle_module=dill)
 
 
