@@ -41,7 +41,7 @@ LAZY = {
         "xpl.training.tiny_lerobot",
         "xpl.training.tiny_parts",
         "xpl.worker.cuda_on_cpu",
-        "xpl.worker.tiny",
+        "xpl.worker.generators",
     },
     # A recipe of a tiny checkpoint runs in the interpreter of its policy.
     "tokenizers": {"xpl.training.tiny_parts"},

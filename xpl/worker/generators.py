@@ -10,11 +10,11 @@ import zlib
 import numpy as np
 
 
-def seed(value: int) -> None:
-    """Seed Python's, numpy's and torch's global generators; torch is imported if it is installed."""
+def seed(value: int, *, load_torch: bool = False) -> None:
+    """Seed Python's, numpy's and torch's global generators; torch's if it is imported, or with `load_torch` installed."""
     random.seed(value)
     np.random.seed(value)  # noqa: NPY002 - libraries draw from the global one
-    if importlib.util.find_spec("torch") is not None:
+    if "torch" in sys.modules or (load_torch and importlib.util.find_spec("torch") is not None):
         import torch
 
         torch.manual_seed(value)

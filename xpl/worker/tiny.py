@@ -97,7 +97,7 @@ def _written(write: Recipe, folder: Path, request: Mapping[str, Any], gains: Map
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    generators.seed(request["seed"])
+    generators.seed(request["seed"], load_torch=True)
     asked: dict[str, None] = {}
 
     def gain(name: str) -> float:
