@@ -11,7 +11,7 @@ import numpy as np
 
 
 def seed(value: int, *, load_torch: bool = False) -> None:
-    """Seed Python's, numpy's and torch's global generators; torch's if it is imported, or with `load_torch` installed."""
+    """Seed Python's, numpy's and torch's global generators, torch's if it is imported; `load_torch` imports it."""
     random.seed(value)
     np.random.seed(value)  # noqa: NPY002 - libraries draw from the global one
     if "torch" in sys.modules or (load_torch and importlib.util.find_spec("torch") is not None):
