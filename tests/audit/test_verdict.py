@@ -79,6 +79,11 @@ WAITING = [_result(f"XPL20{number}", Outcome.NOT_RUN) for number in range(2, 7)]
                 "rows; one mistake may be in both (XPL237)), 1 rule warned (XPL237)"
             ),
         ),
+        (
+            [_result("XPL203", Outcome.FAIL, findings=FOUND)],
+            replace(NO_CODE, weights="tiny random weights, cuda means the CPU"),
+            f"RED 1 rule failed (XPL203), with tiny random weights, cuda means the CPU; {UNPROVEN}",
+        ),
         ([NONE_ASSUMED], PAIRS, "GREEN contract, parity (3 pairs; no convention assumed; one reading twice)"),
         (
             [_result("XPL260", proof={"pairs": 3, "assumed": 0, "generated": True})],

@@ -325,7 +325,8 @@ def _describe_status(status: VerdictStatus, gates: Sequence[GateSummary], circum
             _count_codes([code for gate in gates for code in gate.crashed], "crashed"),
             _count_codes([code for gate in gates if gate.reason is None for code in gate.not_run], "could not run"),
         ]
-        return ", ".join(filter(None, counts)) or _gate_reasons(gates)
+        with_weights = f"with {circumstances.weights}" if circumstances.weights and any(counts) else ""
+        return ", ".join(filter(None, [*counts, with_weights])) or _gate_reasons(gates)
     caveats = [
         _count_places(circumstances.placeholders, "place", "to fill in"),
         _count_places(circumstances.unknown, "model_io value", "unknown"),
