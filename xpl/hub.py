@@ -79,7 +79,8 @@ def pack(folder: Path) -> None:
 
 
 def _caches(policy_dir: Path, config: Config) -> Iterator[Path]:
-    for folder in reversed(checkpoint.folders(config, policy_dir)[1:]):
+    tiny = checkpoint.tiny_folder(config, policy_dir)  # a key may name a folder inside of it
+    for folder in (*([tiny] if tiny is not None else []), *reversed(checkpoint.folders(config, policy_dir)[1:])):
         yield folder / FOLDER
     yield policy_dir / spec.CHECKPOINT_DIRECTORY / FOLDER
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from xpl import _spec as spec
 from xpl_cli.audit import Finding, Fix, NotApplicable, rule
+from xpl_cli.audit.offline.in_process_run import InProcessRun
 from xpl_cli.audit.served.compare import first_step, is_answer_list, same
 from xpl_cli.audit.served.probe import Probe, blame
 
@@ -26,7 +27,7 @@ _COMPARED = (3, 0)
     compares=True,
     tries="batches in other orders and sizes",
 )
-def batch_shrinks(probe: Probe) -> Iterator[Finding]:
+def batch_shrinks(probe: Probe, in_process_run: InProcessRun) -> Iterator[Finding]:
     """The actions of an environment change after other environments of its batch have ended.
 
     ## What it does
@@ -69,6 +70,7 @@ def batch_shrinks(probe: Probe) -> Iterator[Finding]:
             beside = answered[position : position + 1] if is_answer_list(answered, len(indices)) else answered
             mismatch = probe.batch_difference(alone, beside)
             if mismatch is not None:
+                in_process_run.require_no_draws(probe, of_batches=True)
                 yield blame(
                     f"environment {env} acts differently in a batch whose other environments end than alone, "
                     f"from step {step} on: its state is stored by position in the batch",

@@ -51,6 +51,8 @@ def answers(probe: Probe, script: Sequence[Call], *, watch: bool = False) -> lis
 def load_request(probe: Probe) -> dict[str, object]:
     """Return the request that makes a process load the adapter, as a server's worker does."""
     package = probe.package
+    if not package.manifest:  # which settles whether resets seed generators, as on the servers
+        _ = probe.repeats_in_place
     return {
         "policy_dir": str(package.path),
         "config": probe.config,
