@@ -82,9 +82,10 @@ def test_deploy_yml_may_choose_one(adapter: Path) -> None:
 def test_a_variant_that_is_not_there_is_refused(adapter: Path) -> None:
     with pytest.raises(UserError, match="no variant 'nothing'; its variants: other"):
         package.load(adapter, {"variant": "nothing"})
-    done = xpl("serve", str(adapter), "--set", "variant=nothing", cwd=adapter)
-    assert done.returncode == ExitCode.USAGE
-    assert "other" in done.stderr
+    for command in (("serve", str(adapter)), ("audit", str(adapter), "--gate", "static")):
+        done = xpl(*command, "--set", "variant=nothing", cwd=adapter)
+        assert done.returncode == ExitCode.USAGE
+        assert "its variants: other" in done.stderr
 
 
 def test_the_class_of_a_variant_is_served(adapter: Path) -> None:

@@ -24,10 +24,11 @@ from xpl_cli.audit.offline.demonstrations import declaration
 from xpl_cli.audit.rules.facts import Facts
 from xpl_cli.audit.rules.fingerprint import fingerprint
 from xpl_cli.audit.rules.gates import Gate
-from xpl_cli.audit.rules.model import GateReport, Outcome, RuleResult, TargetReport
+from xpl_cli.audit.rules.model import GateReport, NotRun, Outcome, RuleResult, TargetReport
 from xpl_cli.audit.rules.profiles import Profile
 from xpl_cli.audit.rules.registry import OUR_CODES, RegistryError, RuleEntry, find, select
 from xpl_cli.audit.static.source import Source
+from xpl_cli.basics.errors import UserError
 from xpl_cli.basics.progress import Progress
 from xpl_cli.isolation.isolation_settings import IsolationSettings
 from xpl_cli.packages.package import ENV
@@ -45,8 +46,16 @@ def audit(path: Path, kind: str, options: AuditOptions, *, display_path: str | N
         kind: `policy` or `env`.
         options: what to run.
         display_path: how reports name the folder; the path itself by default.
+
+    Raises:
+        UserError: it has no such variant as the options ask for.
     """
     source = Source(path, options.variant)
+    if options.variant is not None:
+        try:
+            _ = source.manifest
+        except NotRun as error:
+            raise UserError(f"{path.name}: {error}") from None
     report = TargetReport(path=display_path or str(path), name=path.name, kind=kind)
     report.circumstances = circumstances(source, kind, options, report.path)
     _run_gates(report, path, options, source)
