@@ -22,6 +22,7 @@ _CONSEQUENCES: Final = {
     Deploy.SEED: "runs with different seeds are the same run",
     Deploy.GPU_ID: "training runs on the first GPU",
     Deploy.PORT: "the client connects to the wrong server",
+    Deploy.HOST: "a client on another machine cannot connect",
     "policy_gpu_id": "the model runs on the first GPU",
     "env_gpu_id": "the simulator runs on the first GPU",
     "policy_env": "the model runs in the first Python on the path",
@@ -32,13 +33,15 @@ _SERVED: Final = _BOTH | {Deploy.CKPT_NAME, Deploy.ACTION_TYPE, "policy_gpu_id",
 _CALLED: Final = _BOTH | {Deploy.TASK_NAME, "env_gpu_id", "eval_env"}
 _DECISIVE: Final = {
     File.EVAL_SH: _SERVED | _CALLED,
-    File.SETUP_EVAL_POLICY_SERVER_SH: _SERVED,
+    File.SETUP_EVAL_POLICY_SERVER_SH: _SERVED | {Deploy.HOST},
     File.SETUP_EVAL_ENV_CLIENT_SH: _CALLED,
     File.TRAIN_SH: frozenset((Deploy.SEED, Deploy.GPU_ID)),
 }
 """The arguments of each script that nothing else brings to where they are needed."""
 
-_EXPANSION: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*])|(\d|[A-Za-z_]\w*|[@*]))")
+_REST: Final = re.compile(r"\$\{[@*]:(\d+)")
+"""All arguments from one on."""
+_EXPANSION: Final = re.compile(r"\$(?:\{[#!]?(\w+|[@*](?!:\d))|(\d|[A-Za-z_]\w*|[@*]))")
 
 _SAYS = frozenset(("", ":", "[", "[[", "cat", "echo", "exit", "printf", "return", "set", "true"))
 """What a stub is made of; assignments have no name."""
@@ -50,9 +53,9 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
 
     ## What it does
     Follows each argument of the standard through its script: into the variable that holds it, and from there into
-    commands. An argument that no variable takes, or that is only printed and tested, has no effect. Not reported:
-    scripts that pass on all arguments (`"$@"`) or iterate over them (`shift`), and stubs that only print that there is
-    nothing to do.
+    commands. An argument that no variable takes, or that is only printed and tested, has no effect; an optional one
+    need not be taken. Not reported: scripts that pass on all arguments (`"$@"`), or all from this one on (`"${@:7}"`),
+    or iterate over them (`shift`), and stubs that only print that there is nothing to do.
 
     ## Why it matters
     The run differs from the launcher's label: ten seeds give one result ten times, two policies share a GPU, or another
@@ -79,7 +82,9 @@ def ignored_argument(source: Source) -> Iterator[Finding]:
 
 def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[str]) -> Iterator[Finding]:
     # Counted in the text: what a here-document holds is handed on too.
-    mentions = _expanded(line for line in source.text(name).split("\n") if not line.lstrip().startswith("#"))
+    lines = [line for line in source.text(name).split("\n") if not line.lstrip().startswith("#")]
+    mentions = _expanded(lines)
+    rest = min((int(first) for line in lines for first in _REST.findall(line)), default=len(order) + 1)
     commands = source.commands(name)
     is_stub = all(command.name in _SAYS for command in commands)
     if is_stub or mentions["@"] or mentions["*"] or any(command.name == "shift" for command in commands):
@@ -91,11 +96,12 @@ def _ignored(source: Source, name: str, order: list[str], decisive: frozenset[st
             for item in word.expansions:
                 if item.name.isdigit():
                     taken.setdefault(item.name, []).append((variable, word))
-    for number, argument in enumerate(order, start=1):
-        if argument not in decisive:
+    for number, entry in enumerate(order, start=1):
+        argument = entry.strip("[]")
+        if argument not in decisive or number >= rest:
             continue
         into = taken.get(str(number), [])
-        if not into and not mentions[str(number)]:
+        if not into and not mentions[str(number)] and argument == entry:
             yield _finding(name, argument, None, f"no ${number}")
         elif into and all(mentions[variable] == spoken[variable] for variable, _ in into):
             variable, word = into[0]

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from typing import Final
 
-from xpl import _spec as sdk
 from xpl_cli.audit import Finding, Fix, rule
 from xpl_cli.audit.static.shell import ShellCommand, ShellWord
 from xpl_cli.audit.static.source import Source
 from xpl_cli.standard import spec
-
-_ADDRESS: Final = re.compile(r"host|port|gpu|seed", re.IGNORECASE)
-"""What a server has to be told by its script; other arguments may only label a run."""
 
 
 @rule(code="XPL137", requirement="XPL-PKG-2")
@@ -23,7 +17,7 @@ def script_arguments(source: Source) -> Iterator[Finding]:
     ## What it does
     Parses the scripts and looks at `name=$N`: a variable with the name of an argument of the standard has to take it
     from that argument's position. Calls of the adapter's own scripts are checked in the same way, also by a variable
-    that holds the script. An argument that the server's script takes and never uses is reported, too.
+    that holds the script.
 
     ## Why it matters
     Launchers pass arguments by position. A script that expects the seed in the position of the action type evaluates
@@ -52,7 +46,6 @@ def script_arguments(source: Source) -> Iterator[Finding]:
         for command in source.commands(script):
             for called, own_order in orders.items():
                 yield from _given(script, called, own_order, command, held)
-    yield from _unused(source, sdk.File.SETUP_EVAL_POLICY_SERVER_SH)
 
 
 def _taken(script: str, order: list[str], command: ShellCommand) -> Iterator[Finding]:
@@ -66,22 +59,6 @@ def _taken(script: str, order: list[str], command: ShellCommand) -> Iterator[Fin
             continue
         really = order[position - 1] if position <= len(order) else "nothing"
         yield _finding(script, word, f"{script} uses {really} as {name}", f"{variable}=${{{order.index(name) + 1}}}")
-
-
-def _unused(source: Source, script: str) -> Iterator[Finding]:
-    """Yield where the address that the script is given is not what the server gets."""
-    if not source.has(script):
-        return
-    commands = source.commands(script)
-    used = [command for command in commands if command.name not in {"echo", "printf"}]
-    expanded = {item.name for command in used for word in command.words for item in word.expansions}
-    for command in commands:
-        for variable, word in command.assignments:
-            if command.functions or not word.position or variable in expanded or not _ADDRESS.search(variable):
-                continue
-            yield _finding(
-                script, word, f"{script} takes {variable} and never uses it", f"${{{variable}}} is passed on"
-            )
 
 
 def _given(
