@@ -9,8 +9,9 @@ from xpl_cli.audit import Finding, Fix, NotApplicable, rule
 from xpl_cli.audit.offline.configurations import Configurations
 from xpl_cli.audit.served.compare import brief, difference, error_code, first_step, same
 from xpl_cli.audit.served.probe import Probe, blame
+from xpl_cli.audit.served.service import USUAL_SEED
 
-_USUAL_SEED, _OTHER_SEED = 0, 7
+_OTHER_SEED = 7
 
 
 @rule(code="XPL211", requirement="XPL-EPI-5", compares=True, tries="get_action twice")
@@ -90,7 +91,7 @@ def _is_without_seed(probe: Probe, configurations: Configurations) -> bool:
     """Tell whether an adapter that cannot declare memory acts alike with any seed."""
     if probe.package.manifest or configurations.usual.refusal is not None:
         return False
-    return configurations.with_seed(_USUAL_SEED).difference(configurations.with_seed(_OTHER_SEED)) is None
+    return configurations.with_seed(USUAL_SEED).difference(configurations.with_seed(_OTHER_SEED)) is None
 
 
 def _remembers(probe: Probe) -> bool:
