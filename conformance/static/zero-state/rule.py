@@ -50,7 +50,7 @@ def zero_state(source: Source) -> Iterator[Finding]:
                     got=ast.unparse(blank.node),
                     fix=Fix("advice", "read the key with [...], or raise an error"),
                 )
-                break  # one stand-in of a function is like the next
+                break  # one placeholder in a function is like the next
 
 
 def _is_observed(name: str) -> bool:
